@@ -87,9 +87,9 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    A figure is left out if the table of the plan lacks the columns of the figure (because a user's
-    model does not declare them), or if a failed solve has no finite values for them. The figure of
-    the wind is left out in calm air.
+    A figure is left out if the table of the plan lacks the columns of the figure, because a user's
+    Pyomo model has no such variables, or if a failed solve has no finite values for them. The
+    figure of the wind is left out in calm air.
 
     Parameters
     ----------

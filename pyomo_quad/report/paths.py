@@ -474,7 +474,7 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
 def axis_label(signal: Column) -> str:
     """Return the label of a coordinate axis: symbol and unit of a column of a flight's table.
 
-    `signal` declares the column, such as the position along x.
+    `signal` describes the column, such as the position along x; symbol and unit are its attributes.
     """
     return f"${signal.symbol}$ ({signal.unit})"
 

@@ -193,10 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Call a function that draws a figure, fix the positions of missing labels, return the figure.
+    """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
 
-    `draw` is the function. Axes without labels get fixed label positions. Otherwise matplotlib
-    computes positions for the empty labels, which takes a tenth of the drawing time.
+    Axes without a label get a constant position of the label. Otherwise matplotlib computes
+    positions for the empty labels, which takes a tenth of the drawing time.
     """
     figure = draw()
     for axes in figure.axes:
@@ -332,8 +332,8 @@ def draw_panels(
 ) -> None:
     """Draw one column of all flights against time in each panel, with the column's title.
 
-    The vertical axis of each panel covers at least the least range that its column declares
-    (`keep_span`).
+    The vertical axis of each panel is at least as long as the smallest range that its column
+    allows, the attribute `smallest_span` of the `Column`.
 
     Parameters
     ----------

@@ -325,8 +325,9 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     dict
         Content of `summary.json`, not validated.
     DataFrame
-        The time, which increases from row to row, and the columns of `ALL_COLUMNS` that the table
-        has; all values are finite.
+        The time, which increases from row to row, and those known columns that the table has; all
+        values are finite. The known columns are `ALL_COLUMNS`, the columns of a flight's table for
+        any vehicle that a scenario can describe.
 
     Raises
     ------

@@ -1,8 +1,9 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
 A battery loses more energy than it delivers, because the current heats its resistance; variations
-of the power increase this loss. `mission.aim` selects the objective; this module solves for the
-other objective on the same mesh and tabulates both plans.
+of the power increase this loss. The scenario's field `mission.aim` selects the objective of a plan.
+This module solves the mission for the other of the two objectives, on the same mesh, and tabulates
+both plans.
 """
 
 from typing import TYPE_CHECKING
@@ -60,7 +61,7 @@ def energy_and_charge(
     Parameters
     ----------
     plan : Plan
-        Plan of a scenario, for either objective.
+        Plan of a scenario whose objective is least energy or least charge.
     planner : Planner
         Solves the scenario with the other objective.
     progress : callable, optional
@@ -104,7 +105,7 @@ def charge_beyond_least(aims: "pd.DataFrame") -> float:
 
 
 def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
-    """Return a warning if the plan of least energy draws clearly more than the least charge.
+    """Return a warning if the plan of least energy draws clearly more charge than necessary.
 
     Parameters
     ----------
@@ -115,8 +116,8 @@ def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        The warning, if the plan of least energy exceeds the least charge by more than the fraction
-        `DISAGREEMENT`; otherwise empty.
+        The warning, if the plan of least energy draws more charge than the plan of least charge by
+        more than the fraction `DISAGREEMENT` (a constant of this module); otherwise empty.
     """
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()

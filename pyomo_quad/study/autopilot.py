@@ -119,9 +119,10 @@ class Tuning:
     flight : Flight
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
-        The best settings, with limits that are not reached lowered: the largest speed and
-        acceleration that this flight reaches, and the limit on its jerk. They result in the same
-        flight.
+        The best settings: limits on speed, acceleration and jerk. If the flight's reference
+        trajectory does not reach the limit on speed or acceleration that the search tried, this
+        limit is lowered to the largest value that the trajectory reaches. The flight is the same
+        with the lowered limits.
     tried : tuple of TriedCruise
         All settings that the search tried, in the order tried.
     """
@@ -137,8 +138,8 @@ def fly_cruise(
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
     The autopilot waits at the goal until the vehicle has arrived near the goal and is nearly at
-    rest. It waits at most for the longest waiting time in `SETTLINGS_S` [s]. In a mission of fixed
-    duration it waits at least to the end of the mission.
+    rest. It waits at most for the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. In a
+    mission of fixed duration it waits at least to the end of the mission.
 
     Parameters
     ----------
@@ -169,10 +170,10 @@ def _with_longest_wait(
 ) -> tuple[Scenario, Dynamics]:
     """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
 
-    The wait is the last waiting time in `SETTLINGS_S`. `fly_cruise` and the search for settings
-    simulate this flight first, in order to find the time at which the vehicle arrives. `scenario`
-    is the mission, `settings` are the autopilot's limits on speed, acceleration and jerk, and
-    `planner` holds the compiled equations.
+    The wait is the longest in `SETTLINGS_S`, a tuple of waiting times [s]. `fly_cruise` and the
+    search for settings simulate this flight first, in order to find the time at which the vehicle
+    arrives. `scenario` is the mission, `settings` are the autopilot's limits on speed, acceleration
+    and jerk, and `planner` holds the compiled equations.
 
     Returns
     -------

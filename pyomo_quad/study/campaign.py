@@ -138,7 +138,7 @@ def fly_campaign(
     ----------
     missions : sequence of Scenario
         Missions with the same battery and vehicle, repeated in this order. On each new battery
-        charge, the first flight starts with the state of charge that the first mission states.
+        charge, the first flight starts with the initial state of charge of the first mission.
     planners : sequence of Planner
         For each mission, a planner that solves it.
     charges : int, default 1

@@ -50,7 +50,8 @@ class ThrustMoments:
     Parameters
     ----------
     demand : MomentumDemand
-        Thrust vector that the momentum balance requires for a motion, linear in the velocity.
+        Thrust vector that the momentum balance requires for a motion. The drag must be linear in
+        the velocity.
     displacement : ndarray, shape (3,)
         Vector from start to goal, m.
     duration : float
@@ -211,8 +212,8 @@ def _standing_moments(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
 
-    This thrust balances weight and wind at zero velocity; it changes with time if the wind does.
-    The integrals are the terms of S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
+    This thrust S balances weight and wind at zero velocity; it changes with time if the wind does.
+    The integrals are the terms with S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
     (4).
 
     Parameters
@@ -635,8 +636,9 @@ def _has_places(
     """Return whether the bound that includes the place of each wind applies to a mission.
 
     `_bound_of_places` computes this lower bound on the energy in a wind field. It applies if the
-    mission has a single leg with exact start and goal, if the plan may not leave the field
-    (`wind.beyond` is not "hold"), and if its winds are horizontal and not all the same.
+    mission has a single leg with exact start and goal, if a flight may not leave the field, and if
+    the winds of the field are horizontal and not all the same. A flight may leave the field if the
+    scenario's `wind.beyond` is "hold".
 
     Parameters
     ----------
@@ -747,17 +749,19 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    The values cover the allowed range of the rotor speed. The power may be negative: the lower
-    limit of zero that the power model has is not applied here. That limit can only increase the
-    power, so that a lower bound on the energy computed without it is valid.
+    The values cover the allowed range of the rotor speed. The power may be negative: a power model
+    in which braking rotors return no energy replaces a negative power by zero, but the values are
+    taken before this replacement. The replacement can only increase the power, so that a lower
+    bound on the energy that is computed without it is valid.
 
     Attributes
     ----------
     thrust, power : ndarray, shape (n,)
         Total thrust [N], increasing, and total power [W], at samples of the rotor speed.
     is_polynomial : bool
-        Whether thrust and power of the declared model are polynomials of the rotor speed. The
-        samples are values of fitted polynomials, which then equal the model to rounding.
+        Whether thrust and power of the Pyomo model are polynomials of the rotor speed. The samples
+        are values of fitted polynomials; if the attribute is true, they equal the model to
+        rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:

@@ -46,22 +46,27 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 
 
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
-    """Simulate a mission under the adaptive controller, with adaptation and without.
+    """Simulate a mission twice under the adaptive controller: with and without its adaptation.
 
-    Both flights follow the smooth path (quintic polynomial) from start to goal in the actual wind.
+    With adaptation, the controller estimates the disturbance acceleration, and compensates it. Both
+    flights follow the same smooth path (quintic polynomial) from start to goal in the actual wind.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission, with fixed duration and passing times of waypoints (`Plan.mission_flown`).
+        The mission. Its duration and the passing times of its waypoints must be fixed; the property
+        `mission_flown` of a `Plan` is such a scenario, with the times of the plan.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual wind.
 
     Returns
     -------
     DataFrame
-        Over time: position errors of both flights (`ERROR_WITH`, `ERROR_WITHOUT`), and disturbance
-        acceleration, as estimated (`ESTIMATED`) and true (`TRUE`), in the flight with adaptation.
+        One row for each time. The columns `ERROR_WITH` and `ERROR_WITHOUT` hold the distance of the
+        vehicle from the place that the path has at that time [m], with adaptation and without. The
+        columns `ESTIMATED` and `TRUE`, three each, hold the components of the disturbance
+        acceleration in the flight with adaptation [m/s^2]: the controller's estimate, and the true
+        value.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -142,9 +147,10 @@ def compare_flights(
     Parameters
     ----------
     scenario : Scenario
-        The mission, with the duration and the passing times of the plan (`Plan.mission_flown`).
+        The mission, with the duration and the passing times of the plan; the property
+        `mission_flown` of a `Plan` is this scenario.
     flights : sequence of Flight
-        Flights of the mission; the flight of the plan is named `OPTIMAL`.
+        Flights of the mission. The flight of the plan has the name "optimal" (`OPTIMAL`).
     certificate : Certificate
         Lower bound on the energy of the mission.
     hover_energy_J : float
@@ -158,11 +164,11 @@ def compare_flights(
     Notes
     -----
     Flights are compared at the same end state.  A simulated flight ends near the goal. The energy
-    that the vehicle needs from the flight's end state to the exact goal state (the owed energy,
-    `Plan.owed_energy`) is therefore added to the flight's energy; excess over hovering, optimality
-    gap and savings refer to the sum.  The saving of the plan compared with a flight is
-    (flight - plan) / flight, in per cent.  The table has two savings: of the sum, and of the part
-    of the sum that exceeds the energy of hovering.
+    that the vehicle needs from the flight's end state to the exact goal state, called the owed
+    energy, is therefore added to the flight's energy. The method `owed_energy` of a `Plan`
+    estimates it. Excess over hovering, optimality gap and savings refer to the sum.  The saving of
+    the plan compared with a flight is (flight - plan) / flight, in per cent.  The table has two
+    savings: of the sum, and of the part of the sum that exceeds the energy of hovering.
 
     A flight has no saving, lower bound or gap if it did not arrive, broke a limit, or if its owed
     energy is unknown, because the bound covers only flights that arrive within the limits.  If the
@@ -259,8 +265,8 @@ def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
     """Return times, length and energy of each leg of a flight as a table.
 
     A leg is the flight from one waypoint to the next. Each hover at a waypoint has a row, too.
-    `mission` is the scenario with the passing times of the flight; `frame` is the flight's table
-    over time, with the columns `columns.COLUMNS`.
+    `mission` is the scenario with the passing times of the flight. `frame` is the flight's table,
+    one row for each time, with columns for time, position and energy.
     """
     return LegColumn.of_rows(leg_rows(mission, frame))
 
@@ -275,9 +281,11 @@ def leg_rows(
     Parameters
     ----------
     mission : Scenario
-        The mission with the passing times of the flight (`Plan.mission_flown`).
+        The mission, with the passing times of the flight at the waypoints. For the flight of a
+        plan it is the property `mission_flown` of the `Plan`.
     flown : mapping or DataFrame
-        Table of the flight, with the columns `columns.COLUMNS`.
+        Columns of the flight's table over time, by name: time, position and energy. Other columns
+        are ignored.
 
     Returns
     -------
@@ -323,8 +331,8 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
 def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
     """Return the length of the path from the start to each row of a flight's table [m].
 
-    `flown` is the table of the flight. Position axes that a user's model does not declare are left
-    out.
+    `flown` is the table of the flight, one row for each time. If a user's Pyomo model lacks one of
+    the coordinates x, y and z, the length is computed without it.
     """
     held = [np.asarray(flown[name], dtype=float) for name in _PLACE if name in flown]
     places = np.reshape(held, (-1, len(flown[TIME]))).T

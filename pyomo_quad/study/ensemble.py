@@ -183,10 +183,11 @@ class Ensemble(Summarised):
         )
 
     def bands(self) -> "pd.DataFrame":
-        """Return quantiles (`BAND`: 5, 50 and 95 %) over the flights of quantities over time.
+        """Return a table of quantiles over the flights, for quantities that change with time.
 
-        The table has a row for each time, and three columns for each quantity of `TRACKS`, such as
-        the speed.
+        The quantities are position, speed, tilt, energy, and distance from the reference path. The
+        table has a row for each time. Each quantity has three columns: its 5, 50 and 95 % quantiles
+        (`BAND`) over all flights at that time.
         """
         import pandas as pd  # noqa: PLC0415  as above
 
@@ -206,7 +207,8 @@ def fly_plan_often(
     Parameters
     ----------
     scenario : Scenario
-        The mission, with the duration and the passing times of the plan (`Plan.mission_flown`).
+        The mission, with the duration and the passing times of the plan; the property
+        `mission_flown` of a `Plan` is this scenario.
     held : Trajectories
         States and controls of the plan over time. The plan was made for the scenario's forecast of
         the wind.
@@ -239,9 +241,9 @@ def fly_cruise_often(
     """Simulate an autopilot, straight between waypoints, many times in random winds.
 
     With the same seed, the winds are the same as in `fly_plan_often`. In all flights the autopilot
-    waits at the goal for the same time, so that the vehicle can settle. The waiting times in
-    `SETTLINGS_S` [s] are tried in increasing order. The first waiting time with which at least half
-    of the flights arrive and break no limit is used, or else the longest one.
+    waits at the goal for the same time, so that the vehicle can settle. The times in `SETTLINGS_S`
+    [s] are tried in increasing order. The first of these waiting times with which at least half of
+    the flights arrive and break no limit is used, or else the longest one.
 
     Parameters
     ----------
@@ -314,8 +316,8 @@ class Saving:
     rival : Ensemble
         The other flights, one in each wind, such as the flights of an autopilot.
     percent : (float, float, float)
-        Saving in per cent: `BAND` quantiles over the winds of (rival - plan) / rival, where both
-        energies are from the same wind.
+        Saving in per cent: 5, 50 and 95 % quantiles (`BAND`) over the winds. The saving in one wind
+        is (rival - plan) / rival, computed from the energies of the two flights in this wind.
     both_succeeded : int
         Number of winds in which the flight along the plan and the rival flight arrived and broke no
         limit. The percentages cover all winds.

@@ -81,8 +81,9 @@ class Headline:
     def summary(self) -> dict[str, Any]:
         """The main results of a run as values for JSON.
 
-        They are the sentences, name, energy and duration of the flight with which the plan is
-        compared, the energy saving over it, and the settings of the tuned autopilot.
+        They are: the sentences on the main results; name, energy and duration of the flight with
+        which the plan is compared; the energy saving over this flight; and the settings of the
+        tuned autopilot.
         """
         against = (
             {

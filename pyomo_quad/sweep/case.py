@@ -100,7 +100,7 @@ class CaseResult:
     Attributes
     ----------
     values : mapping
-        Number of each output column, by column name.
+        Numeric value of each output column, by column name.
     warm_start : bytes or None
         Packed solution, the initial guess of the children: neighbouring cases that are solved after
         this case.
@@ -130,7 +130,7 @@ class CaseOutcome:
     reason : str
         Reason why the case did not finish; empty if it finished.
     values : mapping
-        Number of each output column, by column name.
+        Numeric value of each output column, by column name.
     warm_start : bytes or None
         Packed solution, the initial guess of the children: neighbouring cases that are solved
         after this case.

@@ -96,7 +96,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
     Returns
     -------
     Figure
-        Two panels in a row.
+        One panel for each quantity, arranged in two columns.
     """
     figure, panels = _pairs(
         len(quantities),
@@ -164,6 +164,9 @@ def _name_best(
 ) -> None:
     """Print a curve's name, best duration and least quantity as a line of text in a panel.
 
+    The best duration is the mission duration at which the quantity is least. The text says "at an
+    edge" unless the cases of the next shorter and of the next longer duration both finished.
+
     Parameters
     ----------
     axes : Axes
@@ -175,7 +178,8 @@ def _name_best(
     tried : sequence of float
         All durations of the sweep, in s, including those of failed cases.
     place : tuple of (LineStyle, int)
-        Style of the curve, which gives the text's colour, and number of the text line from 0.
+        Style of the curve, which gives the text's colour; and number of the line in which the text
+        is printed, from 0 at the top.
     """
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
@@ -444,7 +448,7 @@ def draw_distributions(rows: pd.DataFrame, quantities: Sequence[Quantity]) -> Fi
     Returns
     -------
     Figure
-        Two panels in a row.
+        One panel for each quantity, arranged in two columns.
     """
     figure, panels = _pairs(len(quantities), panel_height=2.0, left=0.5, share_time=False)
     style = SERIES_STYLES[0]

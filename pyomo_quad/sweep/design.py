@@ -343,7 +343,7 @@ class SweepDesign:
         ------
         ValueError
             If a dimension has missing or wrong values, the cases are too many, a field varies twice
-            or an output column is unknown; one line that names the fault.
+            or an output column is unknown. The message is one line that names the fault.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):

@@ -72,9 +72,9 @@ class Sampling(Part):
         Returns
         -------
         ndarray, shape (count, axis_count)
-            Coordinates of the points, strictly between 0 and 1. With the method ``random``, a
-            larger `count` keeps the first points, so that a study can be extended; a Latin
-            hypercube is drawn anew.
+            Coordinates of the points, strictly between 0 and 1; `count` is the number of samples.
+            With the method ``random``, a larger number only adds points after those of a smaller
+            number, so that a study can be extended. A Latin hypercube is drawn anew.
         """
         generator = np.random.default_rng(self.seed)
         if self.method is SamplingMethod.RANDOM:
