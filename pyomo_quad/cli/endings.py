@@ -41,7 +41,7 @@ class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
 
 
 class SolveStopped(Stopped):
-    """Exception: the user stopped a solve; ``plan`` is the solve's best iterate so far."""
+    """Exception: the user stopped a solve; ``plan`` is the best iterate that the solve found."""
 
     def __init__(self, plan: Any) -> None:  # noqa: ANN401  its type would import the engine
         super().__init__("interrupted")
@@ -51,10 +51,11 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    After the request, a timer ends the process within half a second. The attribute `has_result` is
-    set once the command has a plan worth reporting: one whose simulated flight arrives and keeps
-    all limits. The command then has a minute to write its report; a second signal of the user
-    shortens this minute to half a second.
+    The attribute `has_result` is set once the command has a plan worth reporting: one whose
+    simulated flight arrives and keeps all limits. At the request, a timer starts that ends the
+    process after half a second. If `has_result` is already set, the timer allows a minute instead,
+    in which the command writes its report; a second signal of the user shortens this minute to half
+    a second.
     """
 
     def __init__(self) -> None:

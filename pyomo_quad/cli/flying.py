@@ -138,7 +138,8 @@ def fly_rotorpy(
     Parameters
     ----------
     planner : Planner
-        Source of the vehicle's equations of motion.
+        Source of the scenario's compiled model, from which power, battery and wind are computed;
+        the motion is computed by RotorPy.
     scenario : Scenario
         Mission and wind.
     pilot : str

@@ -398,7 +398,7 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Parameters
     ----------
     comparison : DataFrame
-        One row for each flight, with the columns of `ComparisonColumn`.
+        One row for each flight, with the columns that the enumeration `ComparisonColumn` lists.
 
     Returns
     -------

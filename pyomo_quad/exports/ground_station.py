@@ -301,8 +301,9 @@ def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[li
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
     """Return the geofence of a QGroundControl plan file, as nested mappings.
 
-    It has the scenario's fence, in which the flight must remain, and those of its keep-out zones
-    that have neither a bottom nor a top. `origin` is the position of x = y = z = 0 on earth.
+    The geofence consists of the scenario's fence, in which the flight must remain, and of those
+    keep-out zones of the scenario that have neither a bottom nor a top. `origin` is the position of
+    x = y = z = 0 on earth.
     """
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]

@@ -1,8 +1,8 @@
 """Readers of autopilot logs: PX4 (`.ulg`) and ArduPilot (`.BIN`).
 
-The readers return a table with the columns of `COLUMNS`, averaged over each second of flight. Each
-log is one flight, named after its file. All airborne rows count as cruise, and the payload is 0. If
-the log has no barometer, the air density at sea level is assumed.
+The readers return a table with the columns that `COLUMNS` lists; each row is the average over a
+second of flight. Each log is one flight, named after its file. All airborne rows count as cruise,
+and the payload is 0. If the log has no barometer, the air density at sea level is assumed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -90,7 +90,8 @@ def _seconds_aloft(
     Returns
     -------
     DataFrame
-        One row for each second in flight, with the columns of `COLUMNS` except the flight's name.
+        One row for each second in flight, with the columns that `COLUMNS` lists except the flight's
+        name.
     """
     air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
     frame = pd.DataFrame(
@@ -121,8 +122,9 @@ def read_ulog(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of `COLUMNS`. All airborne rows count as cruise, and the payload is 0. If the log
-        has no barometer, the air density at sea level is assumed.
+        One row for each second, with the columns that `COLUMNS` lists. All airborne rows count as
+        cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
+        assumed.
 
     Raises
     ------
@@ -204,8 +206,9 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of `COLUMNS`. All airborne rows count as cruise, and the payload is 0. If the log
-        has no barometer, the air density at sea level is assumed.
+        One row for each second, with the columns that `COLUMNS` lists. All airborne rows count as
+        cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
+        assumed.
 
     Raises
     ------

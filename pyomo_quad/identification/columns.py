@@ -36,6 +36,9 @@ CRUISE = 2
 
 
 def wanted_columns(columns: Mapping[str, LogColumn] = COLUMNS) -> str:
-    """List the columns of a table with their units in one line, for messages and help."""
+    """List the columns of a table with their units in one line, for messages and help.
+
+    `columns` has the properties of each column by its name; by default the columns of a log.
+    """
     told = (f"{name} ({column.unit})" if column.unit else name for name, column in columns.items())
     return f"the columns are {', '.join(told)}"

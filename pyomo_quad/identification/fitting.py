@@ -136,7 +136,7 @@ class Identification:
     scenario : Scenario
         Scenario with the fitted vehicle.
     frame : DataFrame
-        Rows of all flights, with the columns of `COLUMNS`.
+        Rows of all flights, with the columns of a log that `COLUMNS` lists.
     parameters : tuple of IdentifiedParameter
         Result for each field that was to be fitted.
     correlations : DataFrame
@@ -204,7 +204,8 @@ class Fit:
     scenario : Scenario
         Scenario with the vehicle before the fit: initial values, and all other fields.
     names : sequence of str
-        The n fields to fit, from `FITTABLE`; they are the parameters of the problem.
+        The n fields to fit, chosen from `FITTABLE`, the list of fields that can be fitted. They are
+        the parameters of the least-squares problem.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -536,7 +537,7 @@ def identify(
     frame : DataFrame
         Rows of at least two flights, from `read_logs`.
     names : sequence of str, optional
-        Fields of the vehicle to fit, from `FITTABLE`.
+        Fields of the vehicle to fit, chosen from `FITTABLE`, the list of fields that can be fitted.
 
     Returns
     -------

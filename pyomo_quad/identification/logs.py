@@ -79,7 +79,8 @@ def read_logs(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns of `COLUMNS`, and voltage and current if the log has them.
+        One row for each row of the log in flight, with the columns that `COLUMNS` lists, and with
+        voltage and current if the log has them.
 
     Raises
     ------
@@ -243,7 +244,8 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
     Returns
     -------
     dict
-        For each needed column, the name in the log -> the package's own name, a key of `COLUMNS`.
+        The package's own name of each needed column, a key of the mapping `COLUMNS`, by the
+        column's name in the log.
 
     Raises
     ------
@@ -355,7 +357,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
     """Yield an error message for each fault of a log's rows, the most basic fault first.
 
-    `frame` has the rows of all flights, with the columns of `COLUMNS`.
+    `frame` has the rows of all flights, with the columns that `COLUMNS` lists.
     """
     for name in frame:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])

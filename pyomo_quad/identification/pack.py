@@ -242,7 +242,8 @@ class Circuit:
     Parameters
     ----------
     scenario : Scenario
-        Scenario with a battery that has relaxation, temperature and health; see `with_circuit`.
+        Scenario from the function `with_circuit`: its battery has a slow part of the resistance
+        (relaxation), a temperature and a state of health.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -574,11 +575,11 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the values before the fit of the battery fields that are fitted.
+    """Return the initial values of the battery fields that are fitted.
 
-    They are the initial values of the fit, in the order of the list of fitted fields, `FITTED`. An
-    absent relaxation or activation energy is replaced by positive numbers, because the fields are
-    fitted as logarithms.
+    They are the values in `scenario`, in the order of `FITTED`, which lists the fitted fields. If
+    the scenario gives no relaxation or no activation energy, positive numbers replace them, because
+    the fields are fitted as logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

@@ -67,7 +67,7 @@ class SteadyFit:
     scenario : Scenario
         Scenario with the fitted vehicle.
     points : DataFrame
-        Measured points, with the columns of `STEADY_COLUMNS` except endurance.
+        Measured points, with the columns that `STEADY_COLUMNS` lists except endurance.
     parameters : tuple of FittedParameter
         Result for each field that was to be fitted.
     power : ndarray, shape (n_points,)
@@ -113,7 +113,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     Parameters
     ----------
     file : Path
-        CSV file with columns of `STEADY_COLUMNS`.
+        CSV file with some of the columns that `STEADY_COLUMNS` lists: power or endurance, and
+        possibly airspeed, payload, climb and air density.
     scenario : Scenario
         Scenario with the vehicle, whose payload and air density fill missing columns.
 
@@ -157,7 +158,7 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     Parameters
     ----------
     frame : DataFrame
-        Points with some of the columns of `STEADY_COLUMNS`.
+        Points with some of the columns that `STEADY_COLUMNS` lists.
     scenario : Scenario
         Scenario with vehicle, battery and air density.
 
@@ -181,7 +182,7 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    """Read the columns of `STEADY_COLUMNS` from a CSV table of steady flight points.
+    """Read a CSV table of steady flight points: the columns that `STEADY_COLUMNS` lists.
 
     Other columns are ignored. A table without rows, or without power and endurance, is an error.
     """
@@ -280,7 +281,8 @@ def identify_steady(
     points : DataFrame
         Measured points, from `read_steady`.
     names : sequence of str, optional
-        Fields of the vehicle to fit, from `fitting.FITTABLE`.
+        Fields of the vehicle to fit, chosen from `fitting.FITTABLE`, the list of fields that can be
+        fitted.
 
     Returns
     -------

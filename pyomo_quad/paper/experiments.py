@@ -1,4 +1,4 @@
-"""The two experiments of Yacef et al. as missions, with their optimal and controlled flights.
+"""The two experiments of Yacef et al. as missions, flown optimally and under adaptive control.
 
 f_r is the efficiency of motor and rotor in their paper, a polynomial of torque and speed that the
 paper does not print; a form recovered from public re-implementations is used.
@@ -260,7 +260,10 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def fly_case(case: FlightCase) -> PaperFlight:
-    """Plan a flight of an experiment of Yacef et al., and verify it by simulation."""
+    """Plan a flight of an experiment of Yacef et al., and verify it by simulation.
+
+    `case` gives the experiment, the power model, the wind and the battery.
+    """
     plan = _plan(case.scenario, Planner())
     return PaperFlight(
         case=case,

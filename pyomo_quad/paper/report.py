@@ -206,9 +206,10 @@ def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return the energy that the optimal flight of an experiment saves, for the report.
 
     The energy of the optimal flight is compared with that of a flight under the adaptive controller
-    along a smooth reference trajectory. The result holds the table row of this comparison with the
-    motors' electrical power, and the saving [percent] with the power by f_r, the efficiency of
-    motor and rotor of Yacef et al. `study` has the results of the study.
+    along a smooth reference trajectory. This is done under two power models. The result holds the
+    table row of the comparison under the first model, the motors' electrical power. Of the second
+    model, which uses f_r, the efficiency of motor and rotor of Yacef et al., it holds the saving
+    only [percent]. `study` has the results of the study.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

@@ -1,10 +1,10 @@
 """Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
-f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the declared
-equations. The least energy is a lower bound (floor) on the energy of every flight, even of a flight
-whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering"). The mean
-power of such alternations is at least the convex envelope of the power. The report's template
-`examination.md.j2` gives the derivation.
+f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the
+equations of the Pyomo model. The least energy is a lower bound (floor) on the energy of every
+flight, even of a flight whose rotors alternate arbitrarily fast between speeds and accelerations
+("chattering"). The mean power of such alternations is at least the convex envelope of the power.
+The report's template `examination.md.j2` gives the derivation.
 """
 
 from dataclasses import dataclass
@@ -238,7 +238,8 @@ class EfficiencyMap:
     torque : ndarray, shape (k,)
         Motor torques [N m].
     efficiency : ndarray, shape (n, k)
-        Efficiency f_r, a polynomial of speed and torque; without lower limit, it may be negative.
+        Efficiency f_r, a polynomial of speed and torque. No lower limit is applied, so that values
+        may be negative.
     steady_torque : ndarray, shape (n,)
         Torque of a rotor that keeps each of the speeds [N m].
     """

@@ -160,7 +160,8 @@ def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> Pape
     is_quick : bool, optional
         Whether to use coarse meshes, and fewer of them.
     step : callable, optional
-        Function that shows the progress; see `Step`.
+        Function that shows the progress. It is called after each result with the name of the
+        result, the number of results so far and the number of all results.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)

@@ -40,10 +40,10 @@ _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 
 
 def implied_wind_optimum() -> float:
-    """Return the energy [J] of the optimal flight in wind that the saving in Yacef et al. implies.
+    """Return the energy [J] of the optimal flight in wind, as implied by the paper's saving.
 
-    For the flight in wind, their paper prints the energy under the adaptive controller and the
-    saving relative to it, but not the energy of the optimal flight.
+    For the flight in wind, Yacef et al. print the energy under the adaptive controller and the
+    saving relative to this energy, but not the energy of the optimal flight.
     """
     return ADAPTIVE_ENERGY[2] * (1 - SAVING[2] / 100)
 
@@ -140,7 +140,7 @@ TABLES = {
 
 
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
-    """Return every table of the report on Yacef et al., by its name in `TABLES`."""
+    """Return every table of the report on Yacef et al. by its name, a key of `TABLES`."""
     rows = {
         "experiments": map(_experiment_row, study.flights),
         "wind": map(_wind_row, study.wind_flights),

@@ -188,7 +188,8 @@ class OutsideStudy:
         Parameters
         ----------
         case : str
-            Mission, a key of `CASES`.
+            Name of the mission: a key of the mapping of missions `CASES`, or the name of a
+            parameter set of RotorPy.
         plant : Plant
             Simulated vehicle.
         controller : str
@@ -273,7 +274,8 @@ class _Mission:
     Attributes
     ----------
     case : str
-        Name of the mission: a key of `CASES`, or the name of a parameter set of RotorPy.
+        Name of the mission: a key of the mapping of missions `CASES`, or the name of a parameter
+        set of RotorPy.
     scenario : Scenario
         The mission, with vehicle and wind.
     planner : Planner
@@ -398,7 +400,11 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return times [s] and distances [m] of a flight from its plan, at fewer than 500 samples."""
+    """Return how far a flight is from its plan over time, at fewer than 500 samples.
+
+    The result is the array of times [s] and the array of distances [m] between the position in
+    flight and the planned position at the same time.
+    """
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
     t = shown[TIME].to_numpy()
@@ -563,7 +569,8 @@ def _rows(
     Parameters
     ----------
     case : str
-        Mission, a key of `CASES`.
+        Name of the mission: a key of the mapping of missions `CASES`, or the name of a parameter
+        set of RotorPy.
     flights : iterator of Flown
         Descriptions of the flights to simulate, in order.
 

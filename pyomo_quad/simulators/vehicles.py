@@ -34,7 +34,7 @@ def rotorpy_parameters(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        Name of the set, from `NAMES`.
+        Name of the set: "hummingbird" or "crazyflie".
 
     Raises
     ------
@@ -52,12 +52,13 @@ def vehicle_fields(name: str) -> dict[str, Said]:
     Parameters
     ----------
     name : str
-        Name of the parameter set, from `NAMES`.
+        Name of the parameter set: "hummingbird" or "crazyflie".
 
     Returns
     -------
     dict
-        Value and source of each field, by dotted path below `fields` or `limits`.
+        Value and source of each field. The key is the field's dotted path in the vehicle file, such
+        as "fields.mass" or "limits.rotor_speed_max".
     """
     held = rotorpy_parameters(name)
     x, y, _ = held["rotor_pos"]["r1"]
@@ -102,7 +103,7 @@ def vehicle_file(name: str) -> str:
     Parameters
     ----------
     name : str
-        Name of the set, from `NAMES`.
+        Name of the set: "hummingbird" or "crazyflie".
     """
     lines = [
         f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",

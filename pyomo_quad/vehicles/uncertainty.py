@@ -122,7 +122,7 @@ def _together(changes: Sequence[FloatArray]) -> FloatArray:
     """Combine the effects of independent causes on the power to one change of the power [W].
 
     `changes` has one array for each cause: the change of the power [W] at each airspeed. The result
-    is the square root of the sum of their squares at each airspeed.
+    is the square root of the sum of the squared changes at each airspeed.
     """
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 
