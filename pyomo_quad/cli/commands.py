@@ -212,8 +212,10 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    A plan is made first in three cases: the flight follows a plan; the duration of the mission is
-    free; or the flight is re-planned and the passing time of a waypoint is free.
+    Under model-predictive control the flight is re-planned: the rest of the mission is planned
+    again and again during the flight. A plan of the whole mission is made before the flight in
+    three cases: the flight follows a plan; the duration of the mission is free; or the flight is
+    re-planned and the time at which it passes a waypoint is free.
 
     Parameters
     ----------

@@ -129,7 +129,8 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 
     A solve inside the ``with`` block checks the record at each iteration, so that it can stop and
     return its best iterate. The process still ends if the block takes too long after the signal:
-    more than half a second, or a minute if the command has a plan worth reporting.
+    more than half a second, or more than a minute if the solve has already found a plan whose
+    simulated flight arrives and keeps all limits, so that the command can write a report.
 
     Yields
     ------

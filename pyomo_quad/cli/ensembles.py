@@ -41,7 +41,7 @@ def fly_many(
     Returns
     -------
     ExitCode
-        Always `VERIFIED`; failures raise errors.
+        Always `VERIFIED`, the exit status 0 of a successful command; failures raise errors.
     """
     plan, planner = _plan_of(path, options)
     mission = plan.mission

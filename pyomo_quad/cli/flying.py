@@ -156,7 +156,10 @@ def fly_rotorpy(
 def write_flight(
     folder: Path, planner: Planner, scenario: Scenario, flight: Flight, wall_s: Mapping[str, float]
 ) -> dict[str, Any]:
-    """Write a flight's table and summary into a folder, and return the summary.
+    """Write a flight's trajectory and summary into a folder, and return the summary.
+
+    The trajectory is written as a table over time, the file `flight.csv`. The summary is a mapping
+    with the energy, the duration and the outcome of the flight, written as `summary.json`.
 
     Parameters
     ----------

@@ -254,8 +254,9 @@ def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
     The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    False if the scenario states no risk, if the risk of the plan was not assessed, or if the
-    simulation of the plan does not confirm it, so that the plan may not be flown anyway.
+    False if the scenario states no risk, or if the risk of the plan was not assessed. It is also
+    False if a simulation of the plan's controls does not confirm the plan, because such a plan must
+    not be flown, whatever its risk.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied

@@ -1,7 +1,8 @@
 """Faster start of a process that runs a single command.
 
-A library must leave the process unchanged. A command owns its process, and saves about a second
-with `own_process` and `import_scipy_alone`.
+The functions change settings of the whole process, which a library must not do, but a command may,
+because its process runs nothing else. `own_process` limits threads and garbage collection, and
+`import_scipy_alone` avoids slow imports. Together they save about a second.
 """
 
 import gc

@@ -149,6 +149,8 @@ _SECONDS_OF_MEMORY = 60.0
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     """Context manager: show the progress of a sweep, as a bar on a terminal, otherwise as lines.
 
+    A sweep solves many variants of a scenario; each variant is a case.
+
     Parameters
     ----------
     is_verbose : bool
@@ -157,7 +159,8 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     Yields
     ------
     SweepListener
-        Object that a `Sweep` informs of each finished case.
+        The progress display, which is to be given to the sweep. The sweep informs the display of
+        each finished case.
     """
     console = error_console()
     if not console.is_terminal:

@@ -51,7 +51,8 @@ def complain(message: str) -> None:
 def claim_streams() -> bool:
     """Replace closed standard streams by the null device, so that the process can print safely.
 
-    Characters that the terminal cannot encode are printed as escape sequences.
+    The function also sets standard output and standard error so that characters which the terminal
+    cannot encode are printed as escape sequences.
 
     Returns
     -------
@@ -175,7 +176,13 @@ def option(
     words : str
         Help text.
     parser : callable, optional
-        Function that converts the text of the value.
+        Function that converts the text of the value. By default the value is converted to the type
+        of the command's parameter.
+
+    Returns
+    -------
+    OptionInfo
+        Typer's description of the option, to be used in the annotation of a command's parameter.
     """
     info: typer.models.OptionInfo = typer.Option(flag, metavar=metavar, parser=parser, help=words)
     return info

@@ -154,13 +154,14 @@ def solve(
     starts: int = 1,
     progress: Progress | None = None,
 ) -> Solution | JointSolution:
-    """Compile and solve a Pyomo.DAE model, and load the solution into it at its declared times.
+    """Compile and solve a Pyomo.DAE model, and load the solution into the model.
+
+    The model's variables receive values at the declared times, the members of a continuous set.
 
     Parameters
     ----------
     model : ConcreteModel
-        Model whose continuous sets are not discretised; it may have none, one or several. Its
-        variables receive the solution's values.
+        Model whose continuous sets are not discretised; it may have none, one or several.
     final_time : Var, optional
         Static variable (variable without time) that is the free end of the horizon, for a model
         with one continuous set.
@@ -183,7 +184,7 @@ def solve(
     Raises
     ------
     TranscriptionError
-        If the model or an argument cannot be used; the message names it.
+        If the model or an argument cannot be used; the message names the component or argument.
 
     Examples
     --------

@@ -189,11 +189,13 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gradient of a weighted sum of path equations and integrands, at each point.
+    """Return the gradients of a weighted sum of path equations and integrands.
 
-    The adjoint equations, by which costates are computed, contain these gradients. A path equation
-    is a constraint that is imposed at every collocation point; the integrands are those of the
-    model's integrals.
+    The sum has a value at each collocation point. Its gradients are taken with respect to the
+    states, and with respect to the rates (derivatives of the states with respect to the fraction of
+    the horizon). The adjoint equations, by which costates are computed, contain these gradients.
+    A path equation is a constraint that is imposed at every collocation point; the integrands are
+    those of the model's integrals.
 
     Parameters
     ----------
@@ -207,8 +209,8 @@ def _products(
     Returns
     -------
     ndarray, ndarray
-        Gradient with respect to the derivatives of the states by the fraction of the horizon, and
-        gradient with respect to the states, each of shape (n_points, n_states).
+        Gradient with respect to the rates, and gradient with respect to the states, each of shape
+        (n_points, n_states).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
@@ -245,7 +247,9 @@ def costate_errors_of(
     bounds: Bounds,
     costates: Costates,
 ) -> FloatArray:
-    """Estimate the largest error of each costate over the horizon, relative to its magnitude.
+    """Estimate the largest relative error of each costate over the horizon.
+
+    The error is relative to the magnitude of the costate, `costates.sizes`.
 
     Where the solution is smooth, the adjoint equations are integrated once more, with the costates
     at the collocation points (`costates.at_points`) in their right-hand side. The estimate is twice
@@ -272,7 +276,7 @@ def costate_errors_of(
     Returns
     -------
     ndarray, shape (n_states,)
-        Largest error of each costate divided by the costate's magnitude, dimensionless.
+        Largest error of each costate, divided by the magnitude of this costate; dimensionless.
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())

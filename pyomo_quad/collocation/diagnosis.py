@@ -39,7 +39,8 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    The diagnosis solves an elastic program, which relaxes the limits by as little as possible. The
+    Here `value` is the value of a constraint or of an unknown of the nonlinear program. The
+    diagnosis solves an elastic program, which relaxes the limits by as little as possible. The
     slack is a non-negative unknown of this program. All limits that one component of the model
     declares (a family) share a slack.
 
@@ -56,7 +57,8 @@ class SoftRows:
     limit : ndarray, shape (n,)
         Value of the limit.
     size : ndarray, shape (n,)
-        Reference magnitude: the larger of the limit's magnitude and the scale of the value.
+        Reference magnitude: the larger of the limit's magnitude and the reciprocal of the scaling
+        factor of the limited constraint or unknown.
     names : tuple of str
         Names of the families.
     """
@@ -85,11 +87,12 @@ class SoftRows:
         program : Transcription
             The nonlinear program.
         bounds : Bounds
-            Bounds of the program's unknowns and constraints.
+            Bounds of the program's unknowns and constraints, from which the limits on constraints
+            are taken.
         scaling : Scaling
-            Scaling factors, from which the reference magnitudes follow.
+            Scaling factors of unknowns and constraints, from which the reference magnitudes follow.
         limits : list of Limit
-            Limits on the unknowns.
+            Limits on unknowns, with the name of the Pyomo component that declares each limit.
         families : frozenset of str, optional
             Names of the components whose limits are collected; all by default.
 

@@ -1,5 +1,6 @@
-"""Declared equations as an explicit right-hand side, for simulation and evaluation over time.
+"""Equations of a Pyomo model as an explicit right-hand side dx/dt = f(t, x, u), for simulation.
 
+The right-hand side also serves to evaluate components of the model along a trajectory. The class
 `ClosedLoop` combines the right-hand side with a control law into one compiled function.
 """
 
@@ -50,8 +51,8 @@ class Instants:
         algebraic variables, static variables (without time), and data (fraction of the horizon and
         parameters).
     read : callable
-        ``(keys, *inputs)`` -> values of the components that `keys` names, shape (n, n_keys); an
-        `Evaluator`.
+        ``(keys, *inputs)`` -> values of the model's components that `keys` names, shape
+        (n, n_keys). See the method `table` for the form of `keys`.
     numbers : callable
         (data, new values of parameters by full name) -> copy of the data with the new values.
     """
@@ -237,7 +238,11 @@ class Dynamics:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Full names of the time-dependent parameters, in the order in which `moment` has them."""
+        """Full names of the time-dependent parameters of the equations.
+
+        Their order is that of the parameters' values in the list that the method `moment` returns,
+        the list of all time-dependent inputs of the equations.
+        """
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:
@@ -262,7 +267,8 @@ class Dynamics:
         """Return a column of CasADi symbols, from which the right-hand side can be written.
 
         The symbols are arguments for the method `written`, which returns dx/dt as an expression.
-        Their type is `casadi.SX` if the right-hand side is explicit, otherwise `casadi.MX`.
+        Their type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, which
+        solves implicit equations of the model, and `casadi.SX` otherwise.
 
         Parameters
         ----------
@@ -815,16 +821,22 @@ def _solved_for(rows: Any, unknowns: Any) -> Any:
 class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
+    The unknowns are the rates (derivatives of the states with respect to the fraction of the
+    horizon) and the algebraic variables that equations determine. The inputs are the states, the
+    controls, the static variables (variables without time) and the data (fraction of the horizon
+    and parameters).
+
     Attributes
     ----------
     inner : casadi.SX
         Unknowns of the nonlinear part.
     residual : casadi.Function
-        (inner unknowns, all inputs as one column) -> residual of the nonlinear part.
+        (unknowns of the nonlinear part, all inputs as one column) -> residual of the nonlinear
+        part.
     known : casadi.Function
-        (inner unknowns, all inputs as one column) -> all unknowns, and a column of two: the
-        objective's integrand, and the derivative of time with respect to the fraction of the
-        horizon.
+        (unknowns of the nonlinear part, all inputs as one column) -> all unknowns, and a column of
+        two: the objective's integrand, and the derivative of time with respect to the fraction of
+        the horizon.
     """
 
     inner: Any
@@ -870,16 +882,20 @@ class _Core:
 class _WithoutIterations(Dynamics):
     """Right-hand side that solves implicit equations by a fixed number of Newton steps.
 
-    The 20 steps are written out as CasADi expressions, which are evaluated faster than an
-    iteration.
+    Implicit equations are those in which rates (derivatives of the states) or algebraic variables
+    enter nonlinearly. The 20 Newton steps are written out as CasADi expressions, whose evaluation
+    is faster than CasADi's own Newton iteration.
     """
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side with 20 Newton steps written out as CasADi expressions.
+        """Return the right-hand side as a CasADi function with 20 Newton steps written out.
 
         `core` holds the implicit equations, split into a nonlinear part, which the Newton steps
-        solve, and a linear part. `inputs` are the symbols of the function's inputs: columns of
-        states, controls, static variables and data (fraction of the horizon and parameters).
+        solve, and a linear part. `inputs` are the symbols of the returned function's inputs:
+        columns of states, controls, static variables and data (fraction of the horizon and
+        parameters). The returned function has two outputs: the rates (derivatives of the states)
+        followed by the algebraic variables that equations determine, and the objective's integrand
+        followed by the derivative of time with respect to the fraction of the horizon.
         """
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)

@@ -1,8 +1,9 @@
 """Guaranteed ranges (enclosures) of expressions over boxes of variables, by interval arithmetic.
 
-Each elementary operation of the compiled expression is evaluated on the lower and upper bounds of
-its arguments, for many boxes at once (Moore, Interval Analysis, 1966). Rounding is not directed: an
-enclosure is accurate to about 1e-14 times the largest magnitude of its values.
+CasADi compiles an expression to a sequence of elementary operations. Each operation is evaluated
+on the lower and upper bounds of its arguments, for many boxes at once (Moore, Interval Analysis,
+1966). Rounding is not directed: an enclosure is accurate to about 1e-14 times the largest magnitude
+of its values.
 """
 
 from __future__ import annotations
@@ -89,15 +90,20 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 
 
 def symbols(*names: str) -> list[Any]:
-    """Return CasADi symbols with the given names, for `Dynamics.expressions` and `Enclosure`.
+    """Return scalar CasADi symbols with the given names, to write expressions with.
+
+    `Dynamics.expressions` writes components of a model in terms of such symbols, and `Enclosure`
+    bounds such expressions over intervals of the symbols.
 
     Parameters
     ----------
     *names : str
+        Names of the symbols.
 
     Returns
     -------
     list of casadi.SX
+        One symbol for each name.
 
     Examples
     --------
@@ -114,13 +120,17 @@ def symbols(*names: str) -> list[Any]:
 class Enclosure:
     """Lower and upper bounds of expressions, and of a gradient, over boxes of their variables.
 
+    The gradient is that of the first expression with respect to the variables.
+
     Parameters
     ----------
     expressions : sequence of casadi.SX
-        CasADi expressions, as from `Dynamics.expressions`. Only the first expression's gradient
-        is bounded.
-    variables, numbers : sequence of casadi.SX
-        Symbols that range over intervals, and symbols with single values.
+        CasADi expressions, for example of components of a model, which `Dynamics.expressions`
+        returns.
+    variables : sequence of casadi.SX
+        Symbols in the expressions that range over intervals.
+    numbers : sequence of casadi.SX
+        Symbols in the expressions that have single values.
 
     Raises
     ------
@@ -140,10 +150,13 @@ class Enclosure:
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
         """Return bounds of the expressions, and of the first expression's gradient, over n boxes.
 
+        The gradient is taken with respect to the variables, the symbols that range over intervals.
+
         Parameters
         ----------
         low, high : ndarray, shape (n_variables, n)
-            Lower and upper corners of n boxes; equal for points.
+            Lower and upper ends of the variables' intervals, one column for each box. If both ends
+            are equal, the box is a single point.
         numbers : array_like, shape (n_numbers,)
             Values of the symbols with single values.
 
