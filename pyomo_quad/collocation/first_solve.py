@@ -155,9 +155,10 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the last strategy, ends the search.
 
-        Any successful result ends it. A failed result ends it only if it comes from the solve that
-        the caller requested, and if that solve diverged (the problem is unbounded) or the caller
-        allows it fewer than 200 iterations.
+        Any successful result ends the search. A failed result of a fallback strategy does not end
+        the search. The failed result of the solve that the caller requested ends the search in two
+        cases: the solve diverged, because the problem is unbounded; or the caller's settings of
+        Ipopt allow fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -210,9 +211,16 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` of a strategy is true at this stage of the search.
 
-        This class evaluates the conditions that there is one horizon only (always true here), that
-        there are as many equations as free unknowns, or more, and that the caller gave no mesh or
-        no guess. Other conditions are evaluated by the base class.
+        This class evaluates five conditions:
+
+        - `Fact.ONE_HORIZON`: the problem has one horizon only, which is always true here;
+        - `Fact.OVERDETERMINED`: the model has more equations than free unknowns, and nothing has
+          been solved yet;
+        - `Fact.SQUARE`: the failed solve had as many equations as free unknowns;
+        - `Fact.FREE_MESH`: the caller gave neither a mesh nor a warm start;
+        - `Fact.FREE_GUESS`: the caller gave a tolerance, but neither a guess nor a warm start.
+
+        The base class evaluates all other conditions.
         """
         known = {
             Fact.ONE_HORIZON: True,

@@ -155,7 +155,11 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return the evaluator itself: it holds no parameter values, so copies can share it."""
+        """Return this evaluator itself, which the copies of a formulation share.
+
+        An evaluator holds no parameter values, and therefore need not be copied. `memo` is required
+        by the protocol of `copy.deepcopy`, and is not used.
+        """
         return self
 
     def expression(self, component: Any, index: Any = None) -> Any:
@@ -287,10 +291,10 @@ class OutputStates:
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        Output states are states on which neither objective nor other equations depend; `declared`
-        are the declarations of the model that has them. The initial value follows from the
-        condition that the model declares for the state at the start of the horizon; it is NaN if
-        there is no such condition.
+        Output states are states on which neither objective nor other equations depend. `declared`
+        are the declarations of the model, with its parameters and output states. The initial value
+        of an output state follows from the condition that the model declares for this state at the
+        start of the horizon. If the model declares no such condition, the initial value is NaN.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -414,7 +418,8 @@ class Formulation:
         declared : Declarations
             The model's variables, equations and limits, as they were read from the model.
         reader : ModelReader
-            The object that read them; it also translates the model's components to CasADi.
+            Reader that read the declarations from the Pyomo model. The reader also translates the
+            model's components to CasADi.
         """
         formulation = object.__new__(cls)
         formulation._hold(*_compiled(model, declared, reader))

@@ -112,9 +112,9 @@ def first_point(
 ) -> FloatArray:
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
-    The states of the point from `initial_point` are moved until they satisfy the equations that
-    contain states alone. If an equation is not finite at the point, the algebraic variables are
-    adjusted, too.
+    The function `initial_point` interpolates a point between known values. The states of this point
+    are then moved until they satisfy the equations that contain states alone. If an equation is not
+    finite at the moved point, the algebraic variables are adjusted, too.
 
     Parameters
     ----------
@@ -127,7 +127,8 @@ def first_point(
     guess : mapping, DataFrame or Trajectory, optional
         The user's initial values of the variables; see `Guess`.
     seed : int, default 0
-        If above 0, the point is random between the bounds; see `scattered`.
+        Seed of random numbers. If above 0, the function `scattered` replaces the interpolated point
+        by a random point between the bounds, before the states are moved.
 
     Returns
     -------
@@ -238,8 +239,9 @@ class _Known:
         """Set initial values of the free times, and correct them so that all times increase.
 
         A free time is a static variable (a variable without time) whose value replaces a declared
-        time, a member of the continuous set. If neither model nor guess has a value, the free time
-        begins at the declared time. The array `z` of unknowns is changed in place.
+        time, a member of the continuous set. If neither the model nor the guess has a value of the
+        variable, its initial value is the declared time, moved inside the bounds. The array `z`
+        holds the initial values of all unknowns of the program, and is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -353,11 +355,13 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point, drawn between the bounds of each variable.
 
-    For a variable over time, four random values at equally spaced times are drawn, and interpolated
-    linearly. If both bounds of the variable are less than 1e6 in magnitude, the random values are
-    uniformly distributed between the bounds. Otherwise they are added to the given point `z`, and
-    are normally distributed with mean 0; their standard deviation is the largest magnitude of the
-    variable in `z`, at least 1.
+    For a static variable (a variable without time), one random value is used. For a variable over
+    time, four random values at equally spaced times are drawn, and interpolated linearly. If both
+    bounds of the variable are less than 1e6 in magnitude, the random values are uniformly
+    distributed between the bounds, and replace the values in the given point `z`. For any other
+    variable, the random values are added to the values in `z`. These random values are normally
+    distributed with mean 0. Their standard deviation is the largest magnitude of the variable in
+    `z`, at least 1.
 
     `program` is a nonlinear program, `bounds` are the bounds of its unknowns, and `seed` is the
     seed of the random numbers. The result has shape (n_unknowns,) and lies inside the bounds.
@@ -388,9 +392,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number` of an unknown, moved inside the unknown's bounds.
 
-    `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among
-    them. A value outside its bounds, or NaN, becomes the middle of the bounds if both are finite,
-    and otherwise the only finite bound.
+    `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among all
+    unknowns. A value that lies inside the bounds is returned unchanged. A value outside the bounds,
+    or NaN, becomes the middle of the lower and the upper bound if both are finite. If only one
+    bound is finite, the value becomes this bound. NaN becomes infinite if no bound is finite.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

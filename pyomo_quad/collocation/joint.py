@@ -280,8 +280,9 @@ class JointProblem(Summarised):
             A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
         guess : mapping, optional
             Initial values by the name of a variable: a function of time, a constant, or samples at
-            the times under the key "time". The mapping may also have, under the name of a
-            continuous set, such a guess for all variables of that horizon.
+            the times under the key "time". A key may also be the name of a continuous set. The
+            value under this key is then a mapping of the same kind, and is the only guess that is
+            used for the variables over this set.
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
         horizon, starts
@@ -518,8 +519,9 @@ class JointProblem(Summarised):
         """Return a failed solution with a verdict on the feasibility of its problem.
 
         The verdict follows from the least sum of constraint violations that is found near the last
-        iterate of `failed`. `options` are the settings of Ipopt for this computation. The function
-        `progress`, if given, is called at each of its iterations, and stops it by returning False.
+        iterate of the solution `failed`. Ipopt minimises this sum, with the settings `options`. The
+        function `progress`, if given, is called at each iteration of this minimisation. If the
+        function returns False, the minimisation stops.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -620,12 +622,13 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables that stand for values of one horizon in the coupling, in place.
+        """Set static variables of the coupling to the values of one horizon that they represent.
 
-        The coupling consists of the objective and of the constraints on several horizons. It
-        contains a static variable (a variable without time) instead of, for example, the derivative
-        of a state at the end of a horizon. The entry of each static variable in `z` is set to the
-        value for which it stands, computed from the horizon's own unknowns.
+        The coupling consists of the objective and of the constraints on several horizons. For some
+        values of a horizon, for example the derivative of a state at the end of the horizon, the
+        coupling contains a static variable (a variable without time) in place of the value. This
+        method computes each such value from the unknowns of the horizon, and stores the value as
+        the entry of the static variable in `z`.
 
         Parameters
         ----------

@@ -287,7 +287,10 @@ class Timeline:
 
     @property
     def spans(self) -> FloatArray:
-        """Derivative of physical time with respect to the fraction, per phase, shape (n - 1,)."""
+        """Derivative of physical time with respect to the fraction of the horizon, in each phase.
+
+        The array has one entry per phase.
+        """
         return np.diff(self.times) / np.diff(self.fractions)
 
     def span_at(self, fractions: FloatArray) -> FloatArray:
@@ -348,9 +351,12 @@ class Timeline:
 
     @cached_property
     def _phases(self) -> tuple[list[float], list[tuple[float, float, float]]]:
-        """Times at which phases end; and start time, start fraction and slope of each phase.
+        """Data of the phases as Python numbers, for the method `fraction_at`.
 
-        The slope is the change of the fraction per unit of physical time.
+        The first list holds the physical times at which one phase ends and the next phase begins.
+        The second list holds three numbers for each phase: the physical time at which the phase
+        begins, the fraction of the declared horizon at this time, and the slope. The slope is the
+        change of the fraction per unit of physical time.
         """
         slopes = np.diff(self.fractions) / np.diff(self.times)
         columns = self.times[:-1].tolist(), self.fractions[:-1].tolist(), slopes.tolist()

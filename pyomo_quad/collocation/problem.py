@@ -73,8 +73,8 @@ class Problem(Summarised, Formulation):
     times : mapping, optional
         Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
         continuous set), and the value is a static variable. The solve determines the variable,
-        which is the physical time at which the conditions declared at 1.0 hold. A declared time
-        between two free times divides the physical time between them in the declared proportion.
+        which is the physical time at which the conditions declared at 1.0 hold. The physical time
+        of any declared time between two free times follows by linear interpolation between them.
 
     Raises
     ------
@@ -210,8 +210,10 @@ class Problem(Summarised, Formulation):
         mesh : Mesh or None
             Initial mesh; None if the caller gave none.
         starts : int
-            Number of initial points on the first mesh: `start`, and random points. The optimum with
-            the best objective becomes the starting point.
+            Number of initial points: `start`, and `starts` - 1 random points. If `starts` is above
+            1, the program on the first mesh is solved from each of these points. The best optimum
+            then replaces `start` as the starting point of the solve; `start` is kept if no optimum
+            was found.
         instance : Instance
             Parameter values, horizon and fixed variables of this solve.
 
@@ -350,8 +352,9 @@ class Problem(Summarised, Formulation):
         mesh : Mesh or None
             None for a model without time. Element boundaries are added at times at which a
             constraint at a single time is imposed, a variable is fixed, or a parameter jumps.
-        start : Start
-            Initial point: a guess or a warm start.
+        start : Start, optional
+            Initial point: a guess or a warm start; by default the values that the variables of the
+            Pyomo model have.
         damping : Damping, optional
             Penalty on the distance of the controls from the controls of the previous mesh.
         instance : Instance

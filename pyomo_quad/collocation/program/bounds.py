@@ -147,10 +147,10 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states and algebraic variables at all nodes, as `Limit` objects.
 
-    A constraint over time on a single variable counts as a bound of that variable. `start_data` has
-    one row for the start of the horizon, and one for each jump of a parameter, with the values just
-    after the jump: the fraction of the horizon, the time-dependent parameters and the constant
-    parameters.
+    A constraint over time on a single variable counts as a bound of that variable. `program` is the
+    nonlinear program on one mesh. `start_data` has one row for the start of the horizon, and one
+    row for the time just after each jump of a parameter. The columns of `start_data` are the
+    fraction of the horizon, the time-dependent parameters and the constant parameters.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
@@ -420,14 +420,17 @@ def refuse_overdetermined(
 ) -> None:
     """Raise an error if a program's equations are linear and contradict each other.
 
+    Equations are constraints with equal bounds; free unknowns are unknowns with unequal bounds.
     Only programs with more equations than free unknowns are checked. Nonlinear equations are
     accepted, because only a solve can decide whether they have a solution.
 
     Parameters
     ----------
     program : NonlinearProgram
+        Program whose equations are checked.
     bounds : Bounds
-    z : ndarray
+        Bounds of the program's unknowns and constraints.
+    z : ndarray, shape (n_unknowns,)
         Point at which the equations are linearised.
     fixed : iterable of str
         Names of the variables with fixed values, which the message lists.
