@@ -199,9 +199,9 @@ class SolverOptions:
         expected change. With a larger gap, the iterates would first move away from the warm start
         and then return. The initial barrier parameter is at most the usual one of warm starts.
 
-        Ipopt ends a solve only if the barrier parameter is below a multiple of the tolerance. If the
-        chosen initial value were already that small, Ipopt would not reduce it, and the gap at the
-        solution would depend on the expected change and would differ from mesh to mesh. In that
+        Ipopt ends a solve only if the barrier parameter is below a multiple of the tolerance. If
+        the chosen initial value were already that small, Ipopt would not reduce it, and the gap at
+        the solution would depend on the expected change and would differ from mesh to mesh. In that
         case the solve begins with a smaller barrier parameter, which depends only on the tolerance.
 
         A large change of the objective shifts the times at which bounds become active. If the start
