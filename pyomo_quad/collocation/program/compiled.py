@@ -72,8 +72,8 @@ class MappedFunction:
         Parameters
         ----------
         inputs : ndarray, shape (n, n_columns)
-            Each input of the function, one row per point; shared inputs have the shape
-            (n_columns,).
+            Each input of the function, one row per point. An input that is the same at all points
+            (one of the first `n_shared` inputs) has the shape (n_columns,).
 
         Returns
         -------
@@ -173,9 +173,10 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
     """Return whether a state has an initial condition and no other condition.
 
-    A condition is a constraint at declared times, or a value fixed at a declared time. The result
+    A condition is a constraint at declared times (members of the continuous set), or a value fixed
+    at a declared time. An initial condition is a condition at the start of the horizon. The result
     is also False if the initial condition contains other variables, or if the objective contains
-    the state's value at a declared time.
+    the state's value at a declared time. `slot` is the state.
     """
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -381,11 +382,11 @@ class CompiledModel:
     condition_limits, static_limits : casadi.Function
         Parameters -> lower and upper bounds of the conditions, and of the static variables.
     times : casadi.Function
-        (static variables, parameters) -> physical times of the start, the free interior times and
-        the end of the horizon.
+        (static variables, parameters) -> physical times of the start of the horizon, of its free
+        interior times (times that the solve determines), and of its end.
     row_integrals : tuple of int
-        Positions of the integrals that enter the objective directly, without a static variable that
-        equals them.
+        Positions, among all integrals of the model, of the integrals that enter the objective
+        directly, without a static variable that equals them.
     symbols : (casadi.SX, casadi.SX)
         Symbols of the variables and the data of a point.
     tables : TableArguments
@@ -728,7 +729,10 @@ def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
 
 
 def stacked(expressions: Any) -> Any:
-    """Return a sequence of CasADi expressions as one column vector, which may be empty."""
+    """Return CasADi expressions, stacked into one column vector.
+
+    `expressions` is a sequence of expressions. If the sequence is empty, the column has no rows.
+    """
     return casadi.vertcat(casadi.SX(0, 1), *[casadi.SX(e) for e in expressions])
 
 
@@ -752,8 +756,9 @@ def _path_symbols(declared: Declarations) -> dict[str, Any]:
 def _point_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables in conditions and objective, by name and in fixed order.
 
-    Conditions are constraints at declared times. The order is: values at declared times, static
-    variables, integrals without a static variable that equals them.
+    Conditions are constraints at declared times (members of the continuous set). The order is:
+    values of variables at declared times, static variables (variables without time), and integrals
+    that no static variable equals.
     """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}

@@ -1,6 +1,7 @@
-"""Algebraic variables that equations define as functions of other variables.
+"""Find algebraic variables that equations define as functions of others, and compute them.
 
-An example is a rate constant that an equation gives as a function of temperature.
+An example is a rate constant that an equation gives as a function of temperature. The values of
+such variables follow from their defining equations, without a solve of the nonlinear program.
 """
 
 from __future__ import annotations

@@ -196,10 +196,13 @@ class SolverOptions:
 
         The barrier leaves a gap in the objective: the barrier parameter times the number of
         inequality bounds. The initial barrier parameter is chosen so that this gap equals the
-        expected change, because with a larger gap the iterates would first move away from the warm
-        start and then return. If the chosen parameter is already about as small as the barrier
-        parameter at which Ipopt ends a solve, Ipopt does not reduce it, and the remaining gap would
-        differ from mesh to mesh. In that case the solve begins with the final barrier parameter.
+        expected change. With a larger gap, the iterates would first move away from the warm start
+        and then return. The initial barrier parameter is at most the usual one of warm starts.
+
+        Ipopt ends a solve only if the barrier parameter is below a multiple of the tolerance. If
+        the chosen initial value were already that small, Ipopt would not reduce it, and the gap at
+        the solution would depend on the expected change and would differ from mesh to mesh. In that
+        case the solve begins with a smaller barrier parameter, which depends only on the tolerance.
 
         A large change of the objective shifts the times at which bounds become active. If the start
         lay on its bounds, many iterations would then take short steps only. The start is therefore
@@ -234,21 +237,23 @@ class SolverOptions:
     def for_other_limits(self) -> SolverOptions:
         """Return the settings for a warm start from the solution of a problem with other limits.
 
-        The start violates the limits of the new problem. With these settings, Ipopt moves the start
-        well inside its bounds, and begins with a larger barrier parameter than in other warm
-        starts. The solve then takes fewer iterations to leave the limits that were active before.
+        A limit is a bound of a variable or constraint. The start is the solution of the earlier
+        problem, and violates limits of the new problem. With these settings, Ipopt moves the start
+        well inside the new limits, and begins with a larger barrier parameter than in other warm
+        starts. The solve then takes fewer iterations to leave the limits that were active in the
+        earlier problem.
         """
         pushes = dict.fromkeys(_PUSHES, _FAR_INSIDE) | {"warm_start_mult_bound_push": _BEGUN_FAR}
         return replace(self, extra=(*self.extra, ("mu_init", _BEGUN_FAR), *pushes.items()))
 
     def from_afar(self) -> SolverOptions:
-        """Return the settings for a solve whose first point violates many limits.
+        """Return the settings for a solve whose first point violates many inequalities.
 
-        The settings apply to solves without a warm start. Ipopt's adaptive strategy estimates the
-        barrier parameter from the first point. If that point violates many limits, the estimate is
-        often a thousand times too small, and the bounds shorten nearly every step; see
-        docs/decisions/speed.md. With these settings, the barrier parameter begins at 0.1 and only
-        decreases.
+        The settings apply to solves without a warm start. By default, Ipopt chooses the barrier
+        parameter adaptively, and estimates its first value from the first point. If that point
+        violates many inequalities, the estimate is often a thousand times too small, and the bounds
+        then shorten nearly every step of Ipopt; see docs/decisions/speed.md. With these settings,
+        the barrier parameter begins at 0.1 and only decreases.
         """
         return replace(self, cold=_FROM_AFAR)
 
@@ -396,8 +401,9 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    Ipopt cannot propagate an exception from a callback. The exception is therefore stored in
-    `error`, and raised again after Ipopt returns.
+    The best iterate is that with the least constraint violation, up to a factor of 10. Ipopt cannot
+    propagate an exception from a callback. The exception is therefore stored in `error`, and raised
+    again after Ipopt returns.
 
     Attributes
     ----------
@@ -410,11 +416,14 @@ class _Callbacks:
         Value of the objective below which an iteration counts as evidence that the problem is
         unbounded.
     below : int
-        Number of consecutive iterations with an objective below the floor.
+        Number of the latest consecutive iterations with an objective below `floor`.
     history : list of Iteration
+        Progress reports of all iterations so far.
     best : (float, ndarray)
-        Constraint violation and unknowns of the best iterate so far.
+        Constraint violation and unknowns of the best iterate so far. An iterate replaces it only if
+        its violation is at most a tenth as large.
     error : exception or None
+        First exception that a callback raised.
     """
 
     program: NonlinearProgram
@@ -516,11 +525,13 @@ class _Callbacks:
     ) -> bool:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
-        Ipopt calls this method at each iteration. `iteration` is its number, `objective` the
-        objective to minimise, `infeasibility` and `dual_infeasibility` are the largest violations
-        of the scaled constraints and of the scaled stationarity conditions, and `barrier` is the
-        barrier parameter. Further arguments of Ipopt are not used. Ipopt stops after an exception,
-        at the request of the caller's callback, or if the problem is unbounded.
+        Ipopt calls this method at each iteration. The best iterate is that with the least
+        constraint violation, up to a factor of 10. `iteration` is the number of the iteration, and
+        `objective` the objective to minimise. `infeasibility` and `dual_infeasibility` are the
+        largest violations of the scaled constraints and of the scaled stationarity conditions, and
+        `barrier` is the barrier parameter. Further arguments of Ipopt are not used. Ipopt stops
+        after an exception in a callback, at the request of the caller's callback, or if the problem
+        appears to be unbounded.
         """
         if self.error is not None:
             return False

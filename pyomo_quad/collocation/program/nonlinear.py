@@ -265,13 +265,17 @@ class ExtendedProgram:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the Pyomo model maximises its objective; False if the objective is left out."""
+        """Whether the Pyomo model maximises its objective, so that the negative is minimised.
+
+        The value is False if the extended program leaves the original objective out (`share` is 0).
+        """
         return bool(self.share and self.program.is_negated)
 
     def split(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the unknowns of the original program, and the added unknowns.
+        """Split all unknowns into those of the original program and the added unknowns.
 
-        `w` has both, one after the other.
+        `w` has the n unknowns of the original program first, then the n_more added unknowns. The
+        result is the pair of these two arrays.
         """
         own = w.size - self.prices.size
         return w[:own], w[own:]
@@ -296,9 +300,10 @@ class ExtendedProgram:
         return gradient
 
     def constraints(self, w: FloatArray) -> FloatArray:
-        """Return the values of all constraints at the unknowns `w`, shape (n_rows,).
+        """Return the values of all constraints at the unknowns `w`.
 
-        The constraints of the original program come first, then the added constraints.
+        The constraints of the original program come first, then the added constraints. There is one
+        value per constraint.
         """
         own = self.program.constraints(self.split(w)[0])
         if self.terms is None:

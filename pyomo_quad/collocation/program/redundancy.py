@@ -1,6 +1,7 @@
-"""Redundant conditions: detected at a point, left out of a solve, and checked afterwards.
+"""Redundant conditions: found at given unknowns, left out of a solve, and checked afterwards.
 
-A condition is a constraint at a declared time, such as an end condition. If a quantity is
+A condition is a constraint at a declared time (a member of the continuous set), such as an end
+condition. It is redundant if it follows from the other equations. For example, if a quantity is
 conserved, an end condition on this quantity follows from the initial conditions and the equations
 over time. On a mesh, the end condition follows only up to the discretisation error. A program that
 imposes the redundant end condition may have no solution. It may also have a unique solution with
@@ -70,10 +71,11 @@ def _candidates(
 ) -> Iterator[Candidate]:
     """Yield the equality conditions that may turn out to be redundant, in a fixed order.
 
-    A condition is a constraint at declared times, or a value fixed at a declared time. Conditions
-    that fix a single state at the start of the horizon are not yielded, because they are never left
-    out. `program` is the nonlinear program on one mesh, `bounds` are its bounds, and `fixed` maps
-    (variable name, fraction of the horizon) to the fixed value.
+    A condition is a constraint at declared times (members of the continuous set), or a value fixed
+    at a declared time. Conditions that fix a single state at the start of the horizon are not
+    yielded, because they are never left out. `program` is the nonlinear program on one mesh, and
+    `bounds` are its bounds. `fixed` has the values of variables fixed at declared times; its keys
+    are pairs (variable name, fraction of the horizon).
     """
     conditions = program.compiled.declared.conditions
     for k, condition in enumerate(conditions):
@@ -103,9 +105,10 @@ def redundant_conditions(
 ) -> tuple[Candidate, ...]:
     """Return the conditions that are redundant, because they follow from other equations.
 
-    A condition is a constraint at declared times, or a value fixed at a declared time. A condition
-    counts as redundant if its gradient depends linearly on the gradients of all equations over time
-    and of the conditions tested before it. The conditions are tested one by one.
+    A condition is a constraint at declared times (members of the continuous set), or a value fixed
+    at a declared time. The conditions are tested one after the other. A condition counts as
+    redundant if its gradient depends linearly on the gradients of all equations over time and of
+    the conditions tested before it.
 
     Parameters
     ----------
@@ -116,7 +119,7 @@ def redundant_conditions(
     scaling : Scaling
         Factors by which the gradients are scaled.
     fixed : dict
-        Values of variables fixed at declared times, by (name, fraction of the horizon).
+        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
     z : ndarray, shape (n_unknowns,)
         Point at which the gradients are evaluated.
 

@@ -317,12 +317,13 @@ class Contributions:
 
         Notes
         -----
-        A second derivative with respect to variables i and j is multiplied by the product of the
-        rows i and j of the matrix `variables`, which has an entry for each pair of unknowns (a, b).
-        Only the lower triangle of the Hessian with respect to the unknowns is assembled. If i
-        equals j, the product has equal entries for (a, b) and (b, a), of which one is dropped. If i
-        and j differ, the second derivative is given for (i, j) but not for (j, i). Both entries are
-        then added in the lower triangle, and an entry on the diagonal is doubled.
+        By the chain rule, a second derivative with respect to variables i and j is multiplied by
+        the outer product of the rows i and j of the matrix `variables`. The outer product has an
+        entry for each pair of unknowns (a, b). Only the lower triangle of the Hessian with respect
+        to the unknowns is assembled. If i equals j, the outer product has equal entries for (a, b)
+        and (b, a), of which one is dropped. If i and j differ, the second derivative is given for
+        (i, j) but not for (j, i). The entries of the outer product for (a, b) and (b, a) are then
+        both added to the lower triangle, and an entry for (a, a) is doubled.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()

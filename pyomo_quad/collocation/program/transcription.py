@@ -146,14 +146,17 @@ class Data:
 class Transcription:
     """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    Constraints ("rows") are ordered: path equations point by point, then conditions (constraints at
-    declared times, the members of the continuous set), then definitions of static variables that
-    equal integrals. Parts that depend on the mesh alone are built once and shared by the programs
-    that `with_data` returns.
+    The order of the constraints ("rows") is: path equations point by point, then conditions
+    (constraints at declared times, the members of the continuous set), then the constraints that
+    make static variables (variables without time) equal to integrals.
+
+    The method `with_data` returns a program for other parameter values. This program shares all
+    parts that do not depend on the parameter values, such as sparsity patterns.
 
     Parameters
     ----------
     compiled : CompiledModel
+        The model, as CasADi functions of a single collocation point.
     mesh : Mesh or None
         None for a model without time.
     data : Data
