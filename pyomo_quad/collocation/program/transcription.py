@@ -322,10 +322,10 @@ class Transcription:
     def objective_size(self, z: FloatArray) -> float:
         """Return the magnitude of the objective, as a reference for its relative errors.
 
-        The magnitude is the larger of two numbers: the absolute value of the objective at the
-        unknowns `z`, and the integral of the absolute value of its running cost. In the latter,
-        positive and negative parts of the running cost do not cancel. (The method
-        `objective_density` returns the running cost.)
+        The magnitude is the larger of two numbers at the unknowns `z`: the absolute value of the
+        objective, and the integral over the fraction of the horizon of the absolute value of the
+        running cost. Positive and negative parts of the running cost do not cancel in this
+        integral. (The method `objective_density` returns the running cost.)
         """
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
@@ -389,7 +389,9 @@ class Transcription:
         The derivatives are the values of CasADi functions at the unknowns `z`, as one array: the
         nonzeros of the Jacobian of path equations and integrands, point by point, then the nonzeros
         of the Jacobian of conditions (constraints at declared times) and objective, and a final 1.
-        The function `jacobian_scatter` makes the linear maps that assemble them.
+        The final 1 is the derivative of a constraint that makes a static variable (a variable
+        without time) equal to an integral, with respect to this variable. The linear maps that
+        assemble gradient and Jacobian from this array come from the function `jacobian_scatter`.
         """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
@@ -418,7 +420,10 @@ class Transcription:
         return self._jacobian.rows.values(self._derivative_sources(z))
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
+        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+
+        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        """
         return self._hessian.rows, self._hessian.columns
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
@@ -463,9 +468,10 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        The weight is `factor` times the derivative of the objective with respect to the integral,
-        or, if a static variable (a variable without time) stands for the integral, minus the
-        multiplier of the constraint that makes both equal.
+        If the integral enters the objective directly, the weight is `factor` times the derivative
+        of the Pyomo model's objective with respect to the integral. Otherwise a static variable (a
+        variable without time) stands for the integral, and a constraint makes this variable equal
+        to the integral. The weight is then minus the multiplier of this constraint.
 
         `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
         `factor` multiplies the objective of the Pyomo model in the Lagrangian; by default 1, or -1

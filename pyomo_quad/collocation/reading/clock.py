@@ -1,8 +1,9 @@
 """Declared times of a horizon, some of which may be free, and the phases between them.
 
 A declared time is a member of the model's continuous set, at which the model can state conditions.
-The declared time is free if a static variable gives the physical time to which it corresponds.
-Between two declared times, physical time is linear in the fraction of the horizon.
+The declared time is free if a static variable (a variable without time) gives the physical time to
+which it corresponds. Between two declared times, physical time is linear in the fraction of the
+horizon.
 """
 
 from __future__ import annotations

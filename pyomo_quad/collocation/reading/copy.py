@@ -203,9 +203,10 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 def _drop_unexpanded(copy: Any, time: Any) -> None:
     """Delete components over time for which Pyomo cannot make a member at an added time.
 
-    An error has been raised before for active blocks and objectives over time, so that the deleted
-    components do not contribute to the nonlinear program. `copy` is the clone of the user's model
-    from which the components are deleted, and `time` is the continuous set that indexes them.
+    The deletion does not change the nonlinear program: of these components, only active blocks and
+    objectives would contribute to it, and a model that has one of these over time has been refused
+    with an error before. `copy` is the clone of the user's model from which the components are
+    deleted, and `time` is the continuous set that indexes them.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -267,8 +268,8 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 def _keep_parameters(copy: Any, time: Any) -> None:
     """Make immutable parameters over time mutable, so that expressions contain their symbols.
 
-    Pyomo writes the number of an immutable parameter into an expression. It writes a mutable
-    parameter itself, and the engine can translate the parameter to a function of time.
+    In a Pyomo expression, an immutable parameter appears as its number, but a mutable parameter
+    appears as a symbol. The engine can translate the symbol to a function of time.
 
     `copy` is the clone of the user's model that is changed, and `time` the continuous set by which
     the parameters are indexed.
@@ -350,7 +351,7 @@ def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     Raises
     ------
     TranscriptionError
-        If a rule fails at that time.
+        If a rule fails at one of the template times.
     """
     try:
         expand_components(copy)

@@ -1,22 +1,25 @@
 """Tensor-product B-splines in CasADi whose evaluation cost does not depend on the grid's size.
 
 In each cell of its grid a spline is a polynomial. A single call of a CasADi function finds the
-polynomial's coefficients and returns its value, gradient and Hessian. Where memory allows, a table
-holds these coefficients for every cell; the table is computed once, along one axis after the other.
-Along axes for which the table would become too large, it holds the coefficients of the B-spline
-instead: the call then looks up the degree + 1 basis functions that are not zero in the cell, and
-multiplies their polynomials by their coefficients. CasADi's B-spline of degree zero serves as the
-look-up, because it neither copies nor searches the table.
+polynomial's coefficients and returns the value, gradient and Hessian of the polynomial. A table
+with these coefficients for every cell is computed once, along one axis after the other. Along axes
+for which the table would become too large, the table holds the coefficients of the B-spline
+instead. Along such an axis, the call looks up the degree + 1 basis functions that are not zero in
+the cell, evaluates them as polynomials, and multiplies each by its B-spline coefficient. The
+look-up in a table is the evaluation of a CasADi B-spline of degree zero, which neither copies nor
+searches the table.
 
-CasADi need not differentiate the call. The arguments are first rounded to multiples of 2**-38
-(4e-12) of the smallest cell width. The call is made at the rounded point, and the expression of the
-spline is the Taylor polynomial of degree two around that point. The polynomial's value and slope
-are exact to rounding errors. Its second derivatives are constant, so that their relative error is
-about 4e-12 of their change in a cell.
+CasADi never differentiates the call, because the derivatives come from a Taylor polynomial. The
+arguments of the spline are rounded to multiples of 2**-38 (4e-12) of the smallest cell width. The
+call is made at the rounded point, which counts as a constant. The CasADi expression of the spline
+is the Taylor polynomial of degree two around the rounded point. The value and the slope of the
+Taylor polynomial are exact to rounding errors. The second derivatives of the Taylor polynomial are
+constant, and differ from the spline's second derivatives by about 4e-12 of the change of the
+spline's second derivatives in a cell.
 
-CasADi differentiates its own cubic B-splines entry by entry: the Hessian of a spline with four axes
-took 80 microseconds. With this method it takes 11 microseconds, and 1.5 microseconds for a spline
-with two axes.
+CasADi's own cubic B-splines are slower, as CasADi differentiates each entry of gradient and Hessian
+separately: the Hessian of a spline with four axes took 80 microseconds. With the method of this
+module it takes 11 microseconds, and 1.5 microseconds for a spline with two axes.
 """
 
 from __future__ import annotations
@@ -287,13 +290,15 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
 
     The value and each derivative of a spline at a point are sums, over all axes, of a cell's
     coefficients times their factors (see `_contracted`). The returned function sums over the first
-    axes, after `_contracted` has summed over the last axes. It consists of scalar operations: for
-    the few numbers of the first axes, they take less time than products of matrices.
+    two axes (or the only axis); `_contracted` has summed over the other axes before. The returned
+    function consists of scalar operations, which take less time for few numbers than products of
+    matrices.
 
     Parameters
     ----------
     given : sequence of tuple of int
-        Keys of the sums over the last axes: orders of the derivative along these axes.
+        One tuple for each sum over the other axes: orders of the derivative along these axes, ()
+        if there are no other axes.
     count : int
         Number of axes of the spline.
     degree : int
@@ -301,8 +306,9 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
     Returns
     -------
     casadi.Function
-        (the sums over the last axes as one column, then for each first axis the matrix of factors
-        that `_weights` describes) -> column of value, gradient and upper triangle of the Hessian.
+        (the sums over the other axes as one column, then for each of the first two axes the matrix
+        of factors that `_weights` describes) -> column of value, gradient and upper triangle of the
+        Hessian.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left

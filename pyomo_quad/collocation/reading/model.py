@@ -396,7 +396,7 @@ class RelationReader:
                     )
 
     def _rate_limits(self) -> Iterator[PathEquation]:
-        """Yield the bounds of derivatives as inequalities over time."""
+        """Yield the bounds of derivatives with respect to time as inequalities over time."""
         for slot in self._rates():
             lower, upper = self._writer.bounds_over_time(slot)
             if not is_unbounded(lower, upper):
@@ -487,7 +487,7 @@ class ModelReader:
     equations : list of PathEquation
         Constraints over time.
     conditions : list of PointCondition
-        Constraints at declared times.
+        Constraints at declared times, the members of the continuous set.
     """
 
     def __init__(self, writer: TemplateWriter) -> None:
@@ -612,13 +612,14 @@ class ModelReader:
     def _determined_without_rates(
         self, states: list[Slot], read: list[frozenset[str]]
     ) -> frozenset[str]:
-        """Return the names of the states that equations without time derivatives determine.
+        """Return the names of what equations without time derivatives determine.
 
-        Such states need no differential equation. An example is the boundary value of a variable
-        that is discretised in space. Each equation determines at most one state. The discretisation
-        has also added one equation for each derivative in space. An added equation determines the
-        derivative for which it was added, and therefore no state; the name of this derivative is in
-        the result too.
+        These are states and derivatives in space. A state in the result needs no differential
+        equation; an example is the boundary value of a variable that is discretised in space. The
+        discretisation adds one equation for each derivative in space. An equation determines at
+        most one state or one derivative in space. Derivatives in space are assigned to equations
+        too, so that an equation that the discretisation added does not count as one that determines
+        a state.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of the symbols in it.

@@ -119,10 +119,11 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions of time for quantities that the model does not state as expressions of time. A
-        `Schedule` returns the branch that a rule takes at a time, and the numbers that it then
-        uses. `Phases` returns which phase of the horizon contains the time. The symbols of the
-        quantities are listed in `Declarations.scheduled`, an attribute of the translated model.
+        Functions of time that return data of the compiled equations. A `Schedule` belongs to a rule
+        that branches on time, and returns which expression the rule yields at a time, and the
+        numbers in this expression. `Phases` returns which phase of the horizon contains the time.
+        The attribute `scheduled` of the translated model (class `Declarations`) lists the symbols
+        of these data.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:

@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
 
 def objective_of(copy: WorkingCopy) -> Any:
-    """Return the active objective of a model, None if the model declares only equations.
+    """Return the active objective of a model, None if the model has no active objective.
 
-    `copy` is the clone of the user's model with the time at which equations are read.
+    `copy` is the working copy of the model: a clone of the user's model, in which each continuous
+    set has an additional time.
 
     Raises
     ------

@@ -175,8 +175,9 @@ def _is_same(held: Any, stated: Any) -> bool:
 class _PrefixNotation(PrefixVisitor):
     """Visitor that writes a Pyomo expression in prefix notation, to compare two expressions.
 
-    A named expression is a single entry of the notation: it is compared with its own rule once, and
-    is not expanded in each of the equations that share it.
+    A named expression is written as a single entry, without its contents. The contents are not
+    needed here, because each named expression with a rule is compared with that rule separately.
+    They are thus not compared again for each of the equations that share the named expression.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
@@ -202,7 +203,8 @@ class _Translator:
     """Translator of functions that refer to a model into functions that refer to the model's clone.
 
     A rule may refer to components of the model through its closure, global variables and default
-    arguments. The translator makes a copy of the rule in which the clone's components replace them.
+    arguments. The translator makes a copy of the rule that refers to the corresponding components
+    of the clone instead.
     """
 
     def __init__(self, model: Any, copy: Any) -> None:

@@ -195,7 +195,8 @@ class Schedule:
         """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
 
         `what` says in words what the quantity is: the factor that selects a form of the rule's
-        result, or one of the numbers in it. It completes the name of the quantity.
+        result, or one of the numbers in a form. The name of the quantity is the name of the
+        component, followed by `what` in parentheses.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -347,11 +348,14 @@ class Schedule:
 
 
 class Phases:
-    """Indicators of the phases of a horizon with free times, with the interface of a `Schedule`.
+    """Indicators of the phases of a horizon with free times, as data for compiled equations.
 
     A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
     begins where the previous phase ends. The indicator of a phase is 1 at times of the phase and 0
     elsewhere.
+
+    The class can take the place of a `Schedule` (the data of a rule that branches on time), because
+    it has the same attributes `name` and `slots` and the same methods `reading` and `row`.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
@@ -365,8 +369,9 @@ class Phases:
     def reading(self, time: float) -> Reading:
         """Return the phase at a time as a `Reading` for the function `jumps`.
 
-        The key of the reading is the position of the phase that contains `time`, a time in the
-        range of the continuous set. The function `jumps` finds the times at which the key changes.
+        A `Reading` has a key and numbers. Here the key is the position of the phase that contains
+        `time`, a time in the range of the continuous set, and there are no numbers. The function
+        `jumps` finds the times at which the key changes, that is, the times between phases.
         """
         return Reading(self._clock.phase_of(time), ())
 
