@@ -75,13 +75,15 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Return the result of comparing the symbol's number with another number in a rule.
+        """Return the result of comparing this symbol with another number in a rule of the model.
 
-        A comparison with a number that is no declared time (member of the continuous set) counts as
-        reading the symbol's number, and sets `is_read`.
+        In comparisons the symbol has a number, by default the template time (the added interior
+        time at which equations are read). A comparison with a number that is no declared time
+        (member of the continuous set) counts as reading the symbol's number. It sets the attribute
+        `is_read` to true: the result of the rule then does not serve all times.
 
         `relation` is the comparison, a function of two numbers, for example `operator.lt`; `other`
-        is the second number.
+        is the second number, or another symbol for time.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -107,7 +109,11 @@ class TimeSymbol:
         return self._number
 
     def __call__(self, *, exception: bool = True) -> float:
-        """Return the symbol's number, as Pyomo's function `value` requires."""
+        """Return the number that the symbol has in comparisons, and record that it was read.
+
+        Pyomo's function `value` calls its argument to obtain a number, and passes `exception`,
+        which has no effect here.
+        """
         del exception
         return float(self)
 
@@ -123,11 +129,14 @@ class TimeSymbol:
         return 1.0 if isinstance(other, TimeSymbol) else self.parameter - other
 
     def is_numeric_type(self) -> bool:
-        """Return False, so that Pyomo's functions call `as_numeric`."""
+        """Return False: Pyomo then calls the method `as_numeric` to obtain a Pyomo parameter."""
         return False
 
     def as_numeric(self) -> Any:
-        """Return the parameter that stands for physical time, for Pyomo's functions."""
+        """Return the Pyomo parameter that stands for physical time.
+
+        Pyomo calls this method where the symbol is an operand or argument in an expression.
+        """
         return self.parameter
 
 
@@ -189,8 +198,10 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for a block, in which the continuous set consists of two equal times.
 
-    With this block, the rule of a `pyomo.dae.Integral` sums a single trapezoid and returns the
-    integrand of the integral. The function `integrand` uses it for this purpose.
+    The rule of a `pyomo.dae.Integral` sums trapezoids between the times in the set. With this
+    stand-in as its block, the rule sums a single trapezoid, whose two ends are the same time. The
+    difference of these two times is defined as 1, so that the area of the trapezoid is the
+    integrand at that time. The function `integrand` uses the stand-in to obtain the integrand.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -221,8 +232,10 @@ def time_parameter() -> Any:
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return the integrand of a `pyomo.dae.Integral` at a time.
 
-    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids. For a single
-    trapezoid of unit width between equal times, that rule returns the integrand.
+    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. Here
+    the rule is called with a single trapezoid, whose two ends are the same time. The difference of
+    two such symbols or numbers is defined as 1, so that the rule returns the integrand at that
+    time.
 
     Parameters
     ----------
@@ -315,7 +328,11 @@ class AddressBook:
         return found
 
     def of(self, data: Any) -> Address:
-        """Return the `Address` of a variable, parameter or constraint data object of Pyomo."""
+        """Return component name, index without time, and time of a Pyomo data object.
+
+        `data` is a member of a variable, parameter or constraint. The result is an `Address`, which
+        has these three attributes.
+        """
         component = data.parent_component()
         return self.split(component, data.index())
 
@@ -544,11 +561,12 @@ class Declarations:
 
 
 class SymbolTable:
-    """Table of the CasADi symbols of a model's variables and parameters, made at first use.
+    """Table of the CasADi symbols of a model's variables and parameters.
 
+    Each symbol is made when an expression needs it for the first time, and is reused afterwards.
     Equations over time are read at the template time, an interior time added to the continuous set.
-    A variable at that time gets the symbol of the function of time; a variable at any other time
-    gets a symbol for its value at that time.
+    The symbol of a variable at the template time stands for the variable as a function of time. The
+    symbol of a variable at any other time stands for the variable's value at that other time.
 
     Parameters
     ----------
@@ -768,10 +786,11 @@ class SymbolTable:
         return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
-        """Return the `Slot` of a variable over time, made at first use.
+        """Return the object with symbol and bounds of a variable over time, made at first use.
 
-        The result is None for an algebraic variable that is fixed at all declared times (members of
-        the continuous set), because it becomes a parameter. `variable` is the Pyomo component.
+        The object is a `Slot`. The result is None for an algebraic variable that is fixed at all
+        declared times (members of the continuous set), because such a variable becomes a parameter.
+        `variable` is the Pyomo component.
         `address` has the index of the member without the time.
         """
         name = indexed_name(variable.name, address.index)

@@ -95,9 +95,10 @@ class Spline:
 
     @cached_property
     def _local(self) -> LocalSpline:
-        """The spline in the form of a `LocalSpline`.
+        """The same spline as a `LocalSpline`, which is fast to evaluate.
 
-        The cost of evaluating a `LocalSpline` does not depend on the number of data points.
+        A `LocalSpline` evaluates a Taylor polynomial of degree two about a point near the
+        arguments. The cost of an evaluation does not depend on the number of data points.
         """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
@@ -110,7 +111,7 @@ class Spline:
         return casadi.Function("spline", [arguments], [written, gradient, hessian])
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle the data of the spline without its compiled functions."""
+        """Return the attributes that a pickle keeps: the spline's data, no CasADi functions."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 

@@ -62,7 +62,10 @@ class Instance:
     left_out: frozenset[str] = frozenset()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Pickle functions of time as piecewise polynomials."""
+        """Return the attributes that a pickle keeps, with functions of time as polynomials.
+
+        Functions of time that the caller gave as parameter values become piecewise polynomials.
+        """
         return vars(self) | {
             "overrides": {n: self._picklable(n, v) for n, v in self.overrides.items()}
         }
@@ -192,8 +195,9 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If a parameter over time has neither a rule nor an override. The returned function
-            raises the same exception if a rule returns a form that was not compiled.
+            If a parameter over time has neither a rule nor a value from the caller. The returned
+            function raises the same exception if a rule that branches on time returns an expression
+            that differs, in more than its numbers, from all expressions that were compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -234,7 +238,8 @@ class ModelValues:
 
         If any time is free (determined by the solve), the range is the range of the continuous set,
         because a rule refers to times of this set. Otherwise the range is the horizon of the solve,
-        `horizon`. The widest horizon that was requested is recorded, so that a pickle covers it.
+        `horizon`. The widest range that was requested so far is recorded: a pickle of the model
+        stores functions of time over this range.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
@@ -331,11 +336,12 @@ class ModelValues:
         return [(t - first) / (last - first) for t in self._source.times]
 
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
-        """Set the model's variable to a solved value, unless a user fixed the variable there.
+        """Set a variable of the Pyomo model at one time to its solved value.
 
-        `slot` is the variable, and `number` the solved value. `fraction` is a declared time (member
-        of the continuous set) as a fraction of the horizon, None for a static variable (a variable
-        without time).
+        `slot` is the variable, and `number` the solved value. `fraction` is the time, a declared
+        time (member of the continuous set) as a fraction of the horizon; it is None for a static
+        variable (a variable without time). A variable that a user fixed at this time keeps its
+        value.
         """
         time = None
         if fraction is not None:

@@ -159,7 +159,11 @@ class ExpressionWriter:
         return False, self._named[id(child)]
 
     def _atom(self, child: Any) -> Any:
-        """Return the CasADi symbol or number for a variable, parameter, constant or unit."""
+        """Return the CasADi symbol or number for an operand that is not itself an operation.
+
+        `child` is the operand in the Pyomo expression: a variable or parameter, which gives a
+        symbol; a constant, which gives its number; or a unit, which gives the number 1.
+        """
         if isinstance(child, _PyomoUnit):
             return 1.0
         if isinstance(child, NonNumericValue) and isinstance(child.value, TimeSymbol):
@@ -188,7 +192,10 @@ class ExpressionWriter:
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
         """Return the CasADi expression of a Pyomo operation applied to translated arguments.
 
-        Raises an error for an operation that has no smooth counterpart in CasADi.
+        `node` is the operation, and `arguments` are the CasADi expressions of its arguments. Unlike
+        `apply`, this method does not set the name of the component that contains the operation,
+        which messages need: the name must be set already. An operation without a smooth counterpart
+        in CasADi is an error.
         """
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
@@ -261,9 +268,11 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Quantities for which the model gives a Python rule instead of an expression in time: the
-        branch that a rule takes at each time, the numerical values that it then uses, and the phase
-        of the horizon.
+        Sources of the data that vary with time without a CasADi expression of time. A `Schedule`
+        belongs to a rule that branches on time or looks up numbers by time. Its data are the branch
+        that the rule takes at each time, and the numbers that the rule uses in this branch. A
+        `Phases` object belongs to a horizon that free times (times that the solve determines)
+        divide into phases. Its data tell which phase contains each time.
     """
 
     def __init__(
@@ -319,10 +328,10 @@ class TemplateWriter:
         ----------
         component : Constraint
         index : tuple
-            Index without the time (i for ``x[i, t]``).
+            Index without the time: (i,) for ``x[i, t]``.
         instance : ConstraintData or None
             The constraint's member at the template time (the added interior time at which equations
-            are read).
+            are read); None if the constraint has no member at that time.
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -460,10 +469,11 @@ class TemplateWriter:
         return schedule.written(write, _ABSENT), schedule.is_equality
 
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
-        """Call a component's rule at one time, and return its result as a `Statement`.
+        """Call a component's rule at one time, and return the result of the rule.
 
-        `name` is the name of the component, for messages. `say` calls the rule: time ->
-        `Statement`.
+        `name` is the name of the component, for messages. `say` calls the rule with a time. The
+        result is a `Statement`: the lower bound, body and upper bound of a constraint, or the
+        expression of an expression over time.
 
         Raises
         ------
@@ -562,10 +572,14 @@ class TemplateWriter:
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
-        """Translate an expression to CasADi, with symbols in place of its numbers.
+        """Translate a Pyomo expression to CasADi, with given replacements of its numbers.
 
-        `part` is the Pyomo expression. `numbers` yields the symbol or value for each number, in the
-        order in which the numbers appear. `name` is the name of the component.
+        At different times a rule may return expressions that differ only in their numbers. With a
+        symbol in place of each number that changes, one CasADi expression serves all these times.
+
+        `part` is the Pyomo expression. `numbers` yields the replacement of each number, in the
+        order in which the numbers appear: a symbol, or the number itself if it does not change.
+        `name` is the name of the component, for messages.
         """
         if part.__class__ in native_types:
             return next(numbers)
@@ -592,9 +606,10 @@ class TemplateWriter:
         return self.write_at_template(found, index)
 
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
-        """Yield the components that `over_time` can translate, as (name, index without time).
+        """Yield the members of all variables, parameters and expressions over time.
 
-        The index without time is (i,) for ``x[i, t]``.
+        Each item is (name of the component, index without time). The index without time is (i,) for
+        ``x[i, t]``. The method `over_time` returns the CasADi expression of such an item.
         """
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
@@ -693,9 +708,11 @@ class TemplateWriter:
         return casadi.substitute(over_time, old, casadi.SX(new))
 
     def _integral(self, component: Any, index: Any) -> Any:
-        """Return the symbol of an integral, and register the integral at first use.
+        """Return the CasADi symbol of an integral.
 
-        `component` and `index` identify the integral in the Pyomo model.
+        `component` and `index` identify the integral in the Pyomo model. At first use, the
+        integrand is translated, and symbol and integrand are stored in the dictionary `integrals`.
+        An integral inside an equation over time is an error.
         """
         if self._in_path:
             raise TranscriptionError(
@@ -719,7 +736,9 @@ class TemplateWriter:
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
     """Return the result of calling a rule with a symbol in place of time; None if that fails.
 
-    `say` calls the rule: time -> `Statement`.
+    `say` calls the rule with a time, and `symbol` is the symbol that it receives as time. The
+    result is a `Statement`: the lower bound, body and upper bound of a constraint, or the
+    expression of an expression over time.
     """
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.

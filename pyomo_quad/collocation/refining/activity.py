@@ -50,8 +50,9 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
     """Return for each limit over time whether it limits algebraic variables alone.
 
-    The result has shape (n_limits,). Its order is that of the limits in the columns of the array
-    that `active_limits` returns.
+    Such a limit involves no state and no rate (derivative of a state). The result has shape
+    (n_limits,). The limits are, in this order: lower bounds of states and algebraic variables,
+    their upper bounds, lower sides of path equations, and their upper sides.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -153,10 +154,11 @@ def _zero(times: FloatArray, values: FloatArray) -> float:
 
 
 def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the multipliers and the slacks of all limits over time, in the order of the limits.
+    """Return the multipliers and the slacks of all limits over time.
 
-    The slack is the distance of the limited value from its limit. `active_limits` compares
-    multipliers and slacks to decide which limits are active.
+    The slack is the distance of the limited value from its limit. A limit is active where its
+    multiplier is larger than its slack. The limits are, in this order: lower bounds of states and
+    algebraic variables, their upper bounds, lower sides of path equations, and their upper sides.
 
     Returns
     -------

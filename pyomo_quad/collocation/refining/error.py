@@ -398,8 +398,9 @@ def _finer_places(degree: int) -> FloatArray:
 def _panelled_places(degree: int) -> FloatArray:
     """Return the points of the finer quadrature rule in an element that goes from 0 to 1.
 
-    The rule is `_panelled`; integrals are recomputed with it to estimate their errors. `degree` is
-    the degree of the element.
+    The finer rule divides the element into panels, each with the points of a Gauss rule. Integrals
+    are recomputed with the finer rule to estimate the errors of their quadrature. `degree` is the
+    degree of the element.
     """
     return _panelled(degree)[0]
 
@@ -629,9 +630,10 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    The errors of the objective and of all integrals are considered, by comparison with a finer
-    quadrature rule. `solution` is the solution on one mesh, and `samples` has the integrands at the
-    points of this rule (`_panelled`).
+    The errors of the objective and of all integrals are considered. The quadrature error is the
+    difference between the quadrature at the collocation points and a finer quadrature rule.
+    `solution` is the solution on one mesh, and `samples` has the integrands at the points of the
+    finer rule, which the function `_panelled` defines.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -699,13 +701,14 @@ def _breaches(
     The measure of a violation depends on its kind. For an equation, it is the relative residual,
     times `weight`. For a bound or limit on controls alone, it is the change of states that the
     violation causes within the element. For any other limit, it is the effect on the objective,
-    estimated from the multipliers of the bounds on states. If a violation exceeds its tolerance in
-    `Allowance`, the violation itself counts.
+    estimated from the multipliers of the bounds on states. If the violation of a limit exceeds its
+    tolerance in `allowance`, the violation itself counts.
 
-    `samples` has the variables of `solution` at many times in each element, with controls clipped
-    to their limits if `Allowance.control_breach` is finite. `weight` is 1 unless `allowance` sets a
-    tolerance on the states; a large tolerance on the states gives a small weight, so that large
-    residuals of equations are allowed too.
+    `allowance` has two such tolerances: `control_breach` for limits on controls alone, and
+    `limit_breach` for all other limits. `samples` has the variables of `solution` at many times in
+    each element. If `control_breach` is finite, controls in the samples are clipped to their
+    limits. `weight` is 1 unless `allowance` sets a tolerance on the states; a large tolerance on
+    the states gives a small weight, so that large residuals of equations are allowed too.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

@@ -70,14 +70,18 @@ def refine(
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
     If limits become active or inactive inside an element, or controls are damped, the change of the
-    objective since the previous mesh must also be at most half the tolerance.
+    objective since the previous mesh must also be at most half the tolerance. Controls are damped
+    if the objective contains a penalty on their distance from the smoothed controls of the previous
+    mesh.
 
     Parameters
     ----------
     solve : callable
         (meshes, start, dampings, change=, iteration_limit=) -> solution. `meshes` and `dampings`
-        have one item for each horizon. `change` is the expected change of the objective, None if it
-        is unknown.
+        have one item for each horizon: its mesh, and its penalty on the distance of controls (None
+        without penalty). `start` is the guess or warm start. `change` is the expected change of the
+        objective, None if it is unknown. `iteration_limit` is the largest number of Ipopt's
+        iterations.
     meshes : tuple of Mesh
         Initial meshes, one for each horizon.
     tolerance : float
@@ -87,14 +91,15 @@ def refine(
         Guess or warm start of the first solve.
     past_the_barrier : callable, optional
         (dampings, solution) -> a solution on the same meshes with a smaller complementarity gap
-        (the error that Ipopt's barrier leaves in the objective).
+        (the error that Ipopt's barrier leaves in the objective). `dampings` is as for `solve`.
 
     Returns
     -------
     Solution or JointSolution
-        The last solution, or an earlier solution that a restart did not improve. Its status is
-        `converged`; or `tolerance_not_met`, with the reason in the message; or the status of the
-        solve that failed.
+        The last solution, or an earlier solution. The earlier solution is returned if the
+        refinement was restarted from controls that are better by Pontryagin's principle, but the
+        restart did not improve the solution. The status of the result is `converged`; or
+        `tolerance_not_met`, with the reason in the message; or the status of the solve that failed.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -112,12 +117,17 @@ class _Refinement(Generic[S]):
     """Mesh refinement in progress: the next meshes with their start, and the previous results.
 
     The function `refine` creates an instance, and calls `with_next_meshes` until the refinement
-    ends.
+    ends. Damping of controls is a penalty on their distance from the smoothed controls of the
+    previous mesh. The refinement is restarted if Pontryagin's principle shows that other controls
+    are better.
 
     Attributes
     ----------
-    solve, sharpen : callable
-        See `refine`; `sharpen` is its argument `past_the_barrier`.
+    solve : callable
+        Argument `solve` of the function `refine`: it solves on given meshes.
+    sharpen : callable, optional
+        Argument `past_the_barrier` of the function `refine`: it continues a solve until the
+        complementarity gap (the error that Ipopt's barrier leaves in the objective) is smaller.
     meshes : tuple of Mesh
         The next meshes, one for each horizon.
     tolerance : float
@@ -136,9 +146,10 @@ class _Refinement(Generic[S]):
         Number of meshes with damping on which the objective changed by less than half the
         tolerance.
     restarts : int
-        Number of restarts by Pontryagin's principle.
+        Number of restarts from controls that are better by Pontryagin's principle.
     reached : _Reached, optional
-        The solution within tolerance before the most recent restart.
+        The solution that met the tolerance before the most recent restart; None before the first
+        restart.
     """
 
     solve: Callable[..., S]
@@ -352,10 +363,11 @@ class _Refinement(Generic[S]):
         return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
 
     def _with_state_error(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S:
-        """Return a solution whose attribute `state_error` is set, the largest over all horizons.
+        """Return a copy of a solution with its attribute `state_error` set.
 
-        The state error is the estimated distance of the states from the optimal states, relative to
-        their magnitudes. `solution` is the solution to which the error is added. The error is
+        The state error of a horizon is the estimated distance of the states from the optimal
+        states, relative to the magnitudes of the states. The attribute is set to the largest state
+        error of all horizons. `solution` is the solution to be copied. The state errors are
         computed from `errors`, the error estimates of the solution, one for each horizon.
         """
         change = _objective_change(solution.parts[0], self.tolerance)
