@@ -281,9 +281,11 @@ class Solution(Outcome):
         }
 
     def _state_and_costate_errors(self) -> dict[str, str]:
-        """Return the estimated errors of states and costates for `summary`, if estimated.
+        """Return the lines of the solution's summary on the errors of states and costates.
 
-        The keys are the labels, the values the texts.
+        Each key of the result is the label of a line in the property `summary`, and its value is
+        the text of the line: an estimated error. The result is empty if the errors of the states
+        were not estimated, or if the model has no states.
         """
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
@@ -454,10 +456,13 @@ class Solution(Outcome):
         raise TranscriptionError(f"{name}: is not a static variable or integral; give a time t.")
 
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
-        """Return the five inputs of an `Evaluator` at fractions of the horizon.
+        """Return the values with which components of the model are evaluated at given times.
 
-        The inputs, with one row per fraction, are: rates, states, algebraic variables, static
-        variables, and data (fraction and parameters).
+        `fractions` are the times, as fractions of the horizon. The result is the five inputs of the
+        functions that an `Evaluator` compiles for variables and expressions of the model. Each
+        input is an array with one row per time. The inputs are: the rates (derivatives of the
+        states with respect to the fraction of the horizon), the states, the algebraic variables,
+        the static variables (without time), and the data (the fraction and the parameters).
         """
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)

@@ -242,7 +242,7 @@ def carried_out(
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the solution on the most accurate mesh, if a refinement ended without convergence.
+    """Return the result of a refinement: the last or, after a failure, the most accurate solution.
 
     Parameters
     ----------
@@ -255,8 +255,9 @@ def _finished_of(finished: list[S], ended: S) -> S:
     Returns
     -------
     Solution or JointSolution
-        `ended`, unless it was interrupted or did not converge. Otherwise the finished solution with
-        the least error, with the status of `ended` and a message that names the mesh.
+        If `ended` was interrupted or did not converge, the solution in `finished` with the least
+        estimated error. This solution then has the status of `ended`, and a message that names its
+        mesh. In all other cases, and if there is no finished solution, the result is `ended`.
     """
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):

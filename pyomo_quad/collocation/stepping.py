@@ -27,18 +27,18 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SteppedFlights:
-    """Simulated flights of n vehicles, sampled at the same times.
+    """Simulated flights of n vehicles under a control law, sampled at the same times.
 
     Attributes
     ----------
     t : ndarray, shape (n_samples,)
         Times [s].
     joint : ndarray, shape (n_samples, n, n_joint)
-        Joint states of vehicle and control law: the states of the vehicle, the states of the
-        control law, and the integral of the objective's integrand from the start of the flight, as
-        in a `ClosedLoop`.
+        Joint states of each vehicle and its control law. A joint state consists of the states of
+        the vehicle, the states of the control law, and the integral of the objective's integrand
+        from the start of the flight.
     controls : ndarray, shape (n_samples, n, n_controls)
-        Controls that the control law applies.
+        Controls that the control law applies to each vehicle.
     """
 
     t: FloatArray
@@ -54,10 +54,11 @@ class SteppedLoops:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own), where x are the
-        vehicle's states, and own are the law's own states; see `Law`.
+        Control law: (command, x, own) -> (controls, time derivatives of own). The command is what
+        the law follows, for example a reference position; x are the vehicle's states; own are the
+        law's own states, for example of an integrator.
     n_command, n_own : int
-        Number of components of the command that the law follows, and number of the law's states.
+        Number of components of the command, and number of the law's own states.
     varied : sequence of str
         Full names of the parameters, constant or over time, that differ between the vehicles.
     """

@@ -122,8 +122,10 @@ class Strategy:
         Whether the damping of the controls (a penalty on their distance from the controls of the
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
-        Limit of iterations on each mesh. None: a warm start may take as many iterations as the
-        solve from the guess took, on its first mesh and on all meshes together.
+        Limit of iterations of the solve on each mesh; infinite for no limit. None for the whole
+        solve from a warm start, which has another limit: an earlier solve from the guess is on
+        record, and the solve from the warm start may take as many iterations as that solve took, on
+        the first mesh and on all meshes together.
     times : int
         How often the strategy may be tried.
     """
@@ -233,7 +235,7 @@ class Search(ABC, Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the last strategy, ends the search.
 
-        By default, every result ends the search whose status is not a failure.
+        By default, a result ends the search if its status is not a failure.
         """
         return not found.status.has_failed
 
@@ -246,7 +248,10 @@ class Search(ABC, Generic[S]):
 
 
 def first_success(scope: Scope, search: Search[S]) -> S:
-    """Try solution strategies in the order of their table, until one gives a final result.
+    """Try the solution strategies of this module's table in order, until a result is final.
+
+    The table `STRATEGIES` lists the strategies. A strategy is tried only if all its conditions are
+    true.
 
     Parameters
     ----------
@@ -258,8 +263,9 @@ def first_success(scope: Scope, search: Search[S]) -> S:
     Returns
     -------
     Solution or JointSolution
-        The final result, or the result of `search.failure`. If several strategies were tried, its
-        attribute `tried` records their names and outcomes.
+        The final result. If no result is final, the result that the method `failure` of `search`
+        chooses to report: by default the result of the last strategy. If several strategies were
+        tried, the attribute `tried` of the returned solution records the name and outcome of each.
     """
     tried: list[str] = []
     last: Any = None

@@ -177,13 +177,13 @@ def _widths(solution: Solution) -> FloatArray:
 def _assign_bounds(
     solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
 ) -> None:
-    """Convert the multipliers of bounds to derivatives for the components that declare the bounds.
+    """Add the objective's derivatives with respect to bounds to `dual` and `reduced`, in place.
 
-    The derivatives are those of the objective with respect to the values of the bounds. A bound may
-    be declared with a variable; its derivative is then added to `reduced`, for the suffix `rc`. A
-    bound may also be declared by a constraint on a single variable; its derivative is then added to
-    `dual`, for the suffix of that name. Both arguments are changed in place. `solution` has the
-    multipliers. `sign` is -1 if the objective is maximised, and 1 otherwise.
+    The derivatives are computed from the multipliers of `solution`. `sign` is -1 if the objective
+    is maximised, and 1 otherwise. The Pyomo model may declare a bound with a variable; the
+    objective's derivative with respect to this bound is added to `reduced`, for the suffix `rc`.
+    The model may also declare a bound by a constraint on a single variable; the derivative with
+    respect to this bound is added to `dual`, for the suffix `dual`.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled

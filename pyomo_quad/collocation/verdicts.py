@@ -44,8 +44,9 @@ def without_bound(solution: Solution) -> Solution:
 def with_surplus(solution: Solution) -> Solution:
     """Add a note to a successful solution of a model with more equations than free unknowns.
 
-    Some of the model's equations are redundant, so that the multipliers of the solution are not
-    unique.
+    The note states that some of the model's equations follow from others, so that the multipliers
+    are not unique. `solution` is the solution; the result is a copy with the note. Without surplus
+    equations, or if the solve was not successful, `solution` is returned unchanged.
     """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
@@ -235,9 +236,11 @@ def doubted(solution: S) -> S:
 
 
 def _without_objective(solution: S) -> S:
-    """Return a solution; if its problem has no objective, with a message that says so.
+    """Add a message to a converged solution of a problem that has no objective.
 
-    Only a converged solution gets the message. Any other solution is returned unchanged.
+    The message says that nothing was optimised. The result is a copy of `solution` with the
+    message. If the problem has an objective, or the solution has not converged, `solution` is
+    returned unchanged.
     """
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
@@ -271,7 +274,9 @@ def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
     A table is an interpolation table of the model. The message of the returned solution names the
-    table. If all tables are evaluated inside their ranges, the solution is returned unchanged.
+    table. If `solution` has not converged for another reason, its status is kept, and the line on
+    the table is appended to its message. If all tables are evaluated inside their ranges,
+    `solution` is returned unchanged.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:

@@ -336,7 +336,9 @@ class _Writer:
     ----------
     write : callable
         Function that writes a file. Its arguments are the plan's motion, the path, the value of the
-        option `option` and, for a geodetic format, the origin.
+        option `option` and, for a geodetic format, the origin. Its result is four items: the number
+        of parts of the file, what the parts are (such as "waypoints"), the largest distance from
+        the plan [m], and the largest deviation from the plan's heading [rad] or None.
     ending : str
         Ending of the default file name.
     option : str

@@ -75,10 +75,14 @@ class ImportedMission:
 class _Item:
     """MAVLink command of a ground station's mission, with its seven parameters.
 
-    A parameter is None if the file does not give it. The seventh parameter is normally the altitude
-    [m]. A QGroundControl file may also give the altitude in a separate entry; altitudes above the
-    terrain are read from this entry. The attribute `altitude` is the separate entry, or None if
-    there is none.
+    The attribute `command` is MAVLink's number of the command. The attribute `frame` is the number
+    of the coordinate frame, which defines the level from which the altitude counts. The attribute
+    `params` holds the parameters; a parameter is None if the file does not give it.
+
+    The seventh parameter is normally the altitude [m]. A QGroundControl file may also give the
+    altitude in a separate entry; altitudes above the terrain are read from this entry. The
+    attribute `altitude` is the separate entry [m], or None if the file has no such entry.
+
     The attribute `where` names file and command in error messages.
     """
 
@@ -107,9 +111,20 @@ class _File:
 class _Place:
     """Place in a ground station's mission to which the vehicle flies, with its actions there.
 
-    The position is in latitude, longitude [deg] and height above home [m]. The other attributes
-    have the names and meanings of the fields of a scenario's waypoint, except `is_opened_at`:
-    whether the mission opens a gripper at the place.
+    Attributes
+    ----------
+    position : dict
+        Latitude and longitude [deg], and height above the home position [m].
+    hold : float
+        Time of hovering at the place [s].
+    radius : float
+        Largest distance at which the place counts as passed [m].
+    yaw : float or None
+        Yaw at the place [rad], counter-clockwise from east; None if it is free.
+    release : float
+        Mass of the payload that is released at the place [kg].
+    is_opened_at : bool
+        Whether the mission opens a gripper at the place.
     """
 
     position: dict[str, float]
@@ -397,8 +412,12 @@ def _place_of(
         The command.
     read : _File
         Content of the mission file.
-    first, last : _Place or None
-        First place of the mission, and last place before this command; None if there is none.
+    first : _Place or None
+        First place of the mission, None at the start of the mission. A return to the launch place
+        leads to the first place, and a landing ends at the height of the first place.
+    last : _Place or None
+        Last place before this command, None at the start of the mission. A command without latitude
+        and longitude takes them from the last place, or from the home position if there is none.
     notes : Counter of str
         Contents of the file that a scenario cannot represent, to which the function adds.
     """

@@ -134,7 +134,7 @@ def _proven_report(folder: Path, *, is_code_allowed: bool) -> ProvenPlan:
 
 @dataclass(frozen=True, kw_only=True)
 class Motion:
-    """Motion of a verified plan: state polynomials over time, in world axes x, y and z up.
+    """Motion of a verified plan: polynomials of the states over time, in world axes with z up.
 
     Attributes
     ----------
@@ -249,12 +249,13 @@ class Motion:
             )
 
     def values(self, t: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Evaluate states at times after the start.
+        """Evaluate states at times that count from the start of the flight.
 
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times [s]; outside the flight the state at its nearer end is returned.
+            Times [s]. For a time before the start or after the end of the flight, the state at the
+            start or the end is returned.
         names : sequence of str
             Names of the states.
 

@@ -478,16 +478,16 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The gap is the error that Ipopt's barrier leaves in the objective; the result is relative to
-        the objective. `solution` is the solution on the present meshes, and `errors` has its
-        estimated errors, one for each horizon.
+        The complementarity gap is the error that Ipopt's barrier leaves in the objective. The
+        result is this gap divided by the objective. `solution` is the solution on the present
+        meshes. `errors` has one item for each horizon, the estimated errors of `solution`.
 
-        The result is 0.3 times the relative error that objective and integrals have on the present
-        meshes, as estimated in `errors`. With bounds imposed between the collocation points, the
-        larger of this error and the relative change of the objective since the previous mesh takes
-        the place of the error. The result is at most 1e-3, but not less than 0.2 times the
-        tolerance. A smaller gap is not useful while the times at which limits become active change
-        from mesh to mesh.
+        The result is 0.3 times an error on the present meshes, limited to the range from 0.2 times
+        the tolerance to 1e-3. The error is the relative error of objective and integrals, as
+        estimated in `errors`. If bounds are imposed between the collocation points, the error is
+        the larger of this estimate and the relative change of the objective since the previous
+        mesh. A smaller complementarity gap is not useful while the times at which limits become
+        active change from mesh to mesh.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -497,10 +497,12 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return an increased factor on the penalty by which controls are damped.
+    """Return an increased factor on the penalty on changes of the controls between meshes.
 
-    `firmness` is the present factor. It is multiplied by 5 up to a limit, which increases with
-    `settled`, the number of meshes on which the objective hardly changed.
+    The penalty, called damping, keeps the controls near those of the previous mesh. `firmness` is
+    the present factor on the penalty. The result is 5 times `firmness`, but at most a greatest
+    factor (or `firmness` itself, if that is larger). The greatest factor increases with `settled`,
+    the number of meshes on which the objective hardly changed.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -513,12 +515,15 @@ class _MeshSolve(Search[S], Generic[S]):
 
     The table `STRATEGIES` in the module `strategies` lists the ways in which a solve may be tried.
     The search tries those that the table gives for a further mesh of a refinement, in the order of
-    the table.
+    the table. Controls may be damped in a solve: a penalty keeps them near the controls on the
+    previous mesh.
 
     Attributes
     ----------
     solve : callable
-        (meshes, start, dampings, change=, iteration_limit=) -> solution; see `refine`.
+        Function that solves on given meshes: (meshes, start, dampings, change=, iteration_limit=)
+        -> solution. The first four arguments have the meanings of the attributes of the same name.
+        The argument `iteration_limit` is the largest number of Ipopt's iterations.
     meshes : tuple of Mesh
         The next meshes, one for each horizon.
     start : Start
@@ -526,8 +531,8 @@ class _MeshSolve(Search[S], Generic[S]):
     dampings : tuple
         Damping of the controls for each horizon; None for a horizon without damping.
     change : float or None
-        Expected change of the objective from the previous meshes to the next; None if it is
-        unknown.
+        Expected change of the objective from the previous meshes to the next; None if this change
+        is unknown.
     gap : float
         Complementarity gap (error that Ipopt's barrier leaves in the objective), relative to the
         objective, at which a solve with increased damping may stop.
@@ -560,8 +565,9 @@ class _MeshSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S:
         """Solve on the next meshes with a given solution strategy, and return the result.
 
-        The strategy determines the starting point, whether the damping of the controls is
-        increased, and the limit of iterations.
+        `strategy` determines the starting point, the limit of iterations, and whether the damping
+        of the controls (the penalty on their distance from the controls on the previous mesh) is
+        increased.
         """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
@@ -628,14 +634,16 @@ class _Reached(Generic[S]):
     Attributes
     ----------
     solution : Outcome
-        The solution before the restart.
+        The kept solution, found before the restart.
     shown : float, optional
-        Lower bound on the improvement of the objective by the restart, relative to the objective:
-        the largest difference between improvement and estimated error of the solutions found since
-        the restart. None before the first of these solutions.
+        Lower bound on the improvement of the objective by the restart, relative to the objective.
+        Each solution found since the restart gives a bound: its improvement over the kept solution,
+        less its estimated relative error. `shown` is the largest of these bounds. None before the
+        first solution after the restart.
     earned : float
-        Improvement of `solution` over the solution before the previous restart, relative to the
-        objective; 0 if there was none.
+        Improvement of the objective by the previous restart, relative to the objective: that of the
+        kept solution over the solution kept at the previous restart. 0 if there was no previous
+        restart.
     """
 
     solution: S
@@ -674,10 +682,14 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    `ended` is the last solution. If the refinement had been restarted from other controls, the
-    result is instead `reached`, the solution that met the tolerance before the restart. If the
-    restart has shown that a better solution exists, or has led to no solution, the status and
-    message of the result state this. `tolerance` is the required relative error.
+    `ended` is the last solution. `reached` holds the solution that met the tolerance before the
+    refinement was restarted from other controls; it is None if there was no restart. `tolerance` is
+    the required relative error.
+
+    Without a restart, the result is `ended`. After a restart, the result is the solution in
+    `reached`. Its status and message state that better controls exist in two cases: the restart has
+    shown an improvement of the objective by more than the tolerance, or no solution was found after
+    the restart.
     """
     if reached is None:
         return ended

@@ -83,12 +83,15 @@ class RefinementOptions:
     def breach_between_points(self) -> float:
         """Largest relative violation of a bound that is allowed between the collocation points.
 
-        The violation is relative to max(1, abs(bound)). If the result is finite, solves with a warm
-        start impose the bounds between the points as well, up to this violation; if it is infinite,
-        bounds are imposed at the points only. It is infinite if `allowance` sets a tolerance on the
-        states: a simulation then corrects the controls by feedback, and shows violations between
-        the points. Otherwise it is finite if `limits_move` is true and the tolerances on violations
-        in `allowance` are positive.
+        The violation is relative to max(1, abs(bound)). If this value is finite, solves with a warm
+        start impose the bounds between the points as well, up to this violation. If this value is
+        infinite, bounds are imposed at the points only.
+
+        The value is finite if three conditions hold: `allowance` sets no tolerance on the states,
+        `limits_move` is true, and the tolerances on violations in `allowance` are positive.
+        Otherwise the value is infinite. With a tolerance on the states, bounds between the points
+        need not be imposed, because a later simulation corrects the controls by feedback and shows
+        violations between the points.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -163,8 +166,10 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether controls reach their limits with kinks instead of jumps. The refinement sets it if
-        no control enters linearly, so that no control is damped.
+        Whether controls are expected to reach their limits with kinks instead of jumps. Jumps are
+        expected of controls that enter the equations linearly. From the second mesh on, a penalty
+        keeps such controls near the controls on the previous mesh. If the solution on such a mesh
+        was found without this penalty, kinks are expected.
     """
 
     coarse: frozenset[int]
@@ -186,7 +191,7 @@ def refined_mesh(
     solution : Solution
         Solution on the present mesh.
     error : ErrorEstimate
-        Its estimated errors.
+        Estimated errors of `solution`.
     marks : Marks
         Elements to refine, and elements whose degree must not be lowered.
     tolerance : float
@@ -197,7 +202,8 @@ def refined_mesh(
     Returns
     -------
     Mesh
-        The next mesh; the same mesh if the next mesh would have more points than `options` allows.
+        The next mesh; the present mesh, unchanged, if the next mesh would have more collocation
+        points than `options` allows.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -242,13 +248,16 @@ def _lowered(
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     """Return the times of the control switches that the next mesh isolates in narrow elements.
 
-    A switch is a kink or a jump of a control. If an element contains exactly one kink, the switch
-    is the kink; otherwise it is a jump.
+    A switch is a jump or a kink of a control. Kinks are considered only if `marks.are_kinked` is
+    true. If an element contains exactly one kink, the kink is the switch of the element. In any
+    other element, the switch is the jump of a bounded control, if there is a jump.
 
     Parameters
     ----------
     solution : Solution
+        Solution on the present mesh.
     marks : Marks
+        Elements to refine (`marks.coarse`), and whether controls reach their limits with kinks.
 
     Returns
     -------
@@ -268,16 +277,23 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 
 
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
-    """Split an element around a jump or kink of a control into three: before, sliver, and after.
+    """Return the elements into which an element with a jump or kink of a control is split.
 
-    The sliver is a narrow element of degree 1, with one collocation point. The control is constant
-    in the sliver: if it satisfies its limits at the point, it satisfies them everywhere. The error
-    of the states decreases with the square of the sliver's width. If an adjacent element is already
-    a sliver, the jump extends beyond that sliver; the element is then split into thirds instead.
+    The jump or kink is enclosed by a sliver, a narrow element of degree 1 with one collocation
+    point. The result is the element before the sliver, the sliver, and the element after the
+    sliver. If the jump is near an end of the split element, the result is two elements, of which
+    the one at that end has degree 1.
+
+    The control is constant in the sliver: if the control satisfies its limits at the collocation
+    point, it satisfies them in the whole sliver. The error of the states decreases with the square
+    of the sliver's width. If a neighbour of the element already has degree 1, that earlier sliver
+    has not enclosed the whole jump. The element is then split into three equally wide elements
+    instead.
 
     Parameters
     ----------
     mesh : Mesh
+        Present mesh, with the element to split.
     e : int
         Index of the element.
     jump : float

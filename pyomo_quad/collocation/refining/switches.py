@@ -25,16 +25,17 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
     by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
-    the switch, H+. The costates are the derivatives of the objective with respect to the changed
-    states, so that dJ/ds = H- - H+. At the optimal switch the Hamiltonian does not jump
-    (Weierstrass and Erdmann).
+    the switch, H+. This changes the states after the switch. The costates are the derivatives of
+    the objective with respect to the states, so that dJ/ds = H- - H+. At the optimal switch the
+    Hamiltonian does not jump (Weierstrass and Erdmann).
 
     A mesh determines the element in which the control switches, but not the time of the switch
     within the width w of the element: the polynomials of the element, or the single point of a
-    sliver (a narrow element cut around a switch), may put the switch anywhere in it. Neither the
-    equations between the points nor a comparison with the previous mesh, which may have had the
-    same sliver, determine the time. The jump of the Hamiltonian decreases towards the optimal
-    switch, which is at most w away, so that J is too large by at most |H- - H+| w.
+    sliver (a narrow element cut around a switch), may put the switch anywhere in the element. A
+    wrong time is noticed neither by the residuals of the equations between the points, nor by
+    a comparison with the solution on the previous mesh, which may have had the same sliver. The
+    jump of the Hamiltonian decreases towards the optimal switch, which is at most w away, so that J
+    is too large by at most |H- - H+| w.
 
     If an equation depends on time explicitly, the Hamiltonian changes without a switch. The
     Hamiltonians of two neighbouring points are therefore compared at equal times: at the time of
@@ -42,6 +43,11 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     narrower element, which was cut for that jump. Costates are computed in two ways: directly as
     multipliers, and by integration through the element. Where the polynomials cannot follow the
     costates, the two results differ; the smaller jump of the Hamiltonian then counts.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution on the present mesh, with its multipliers.
 
     Returns
     -------
