@@ -348,15 +348,23 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    The table does not distinguish states and controls. Every column is therefore listed both as a
-    state and as a control; the equations of motion select the columns that they need.
+    The table does not distinguish states and controls. In the result, every quantity of the table
+    is therefore listed both as a state and as a control. The equations of motion select the
+    quantities that they need.
 
     Parameters
     ----------
     frame : DataFrame
-        Table with one row for each node.
+        Trajectory table, with one row for each node of the mesh. One column has the times of the
+        nodes [s]; each other column has one quantity, such as a position or a rotor speed.
     degrees : tuple of int
         Polynomial degree of each element of the mesh.
+
+    Returns
+    -------
+    Trajectories
+        Values of the quantities at the nodes. There are no costates; energy and Hamiltonian are
+        zero.
     """
     times = frame[TIME].to_numpy(dtype=float)
     columns = [c for c in ALL_COLUMNS if c.name in frame]
@@ -504,8 +512,17 @@ def piece_deviation(
     ----------
     motion : Motion
         The plan's motion.
-    durations, coefficients : ndarray
-        Pieces from `fit_pieces`.
+    durations : ndarray, shape (n_pieces,)
+        Durations of the pieces [s].
+    coefficients : ndarray, shape (n_pieces, 4, n_coefficients)
+        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the start of the
+        piece [s], the constant first.
+
+    Returns
+    -------
+    position, yaw : float
+        Largest distance between the two positions at the same time [m], and largest difference of
+        the two yaw angles [rad].
     """
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))

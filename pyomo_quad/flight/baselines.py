@@ -412,10 +412,11 @@ _INSTANT = 1e-4
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
-    """Return the name, in comparisons, of a flight whose controller follows a reference.
+    """Return the name that a flight under feedback has in comparisons with other flights.
 
-    Examples of names are "adaptive/quintic" and "adaptive/cruise 6 m/s". `speed` [m/s] is the
-    cruise speed of an autopilot; it is given for the reference `CRUISE` only.
+    Examples of names are "adaptive/quintic" and "adaptive/cruise 6 m/s". `reference` is the kind of
+    path that the adaptive controller follows. `speed` is the cruise speed [m/s] if that path is an
+    autopilot's cruise, else None.
     """
     return f"adaptive/{reference.value}" + ("" if speed is None else f" {speed:g} m/s")
 
@@ -425,17 +426,17 @@ def fly_baseline(
 ) -> Flight:
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
-    The flight is verified if a second integrator, which shares no code with the first, ends at the
-    same place with the same energy, within the tolerances that apply to plans, and if the battery
-    can give the power.
+    The flight is simulated by two integrators that share no code. The flight is verified if both
+    simulations end at the same place with the same energy, within the tolerances that apply to
+    plans, and if the battery can give the power.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times. If the reference is an autopilot's cruise, they are the times
-        that the function `routes.cruise_at` computes.
+        The mission with fixed times. If the reference is an autopilot's cruise, the times must be
+        those that the function `routes.cruise_at` computes for a cruise.
     reference : Reference
-        Path that the controller follows.
+        Kind of path that the controller follows.
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
@@ -445,12 +446,13 @@ def fly_baseline(
     Returns
     -------
     Flight
-        The flight, with its table and results.
+        The flight, with a table of its quantities over time and with its results.
 
     Raises
     ------
     ScenarioError
-        If the reference is the plan but none is given, or if the model is not a quadrotor.
+        If the reference is the plan but no plan is given, or if the simulated vehicle is not a
+        quadrotor.
     SolveError
         If the flight is out of control.
     """
@@ -693,8 +695,9 @@ def broken_under_control(
 class _Missed:
     """Record of a waypoint that a flight passes too far away or too fast.
 
-    `limit` is the name of the limit in the model, `relative` the violation relative to the larger
-    of 1 and the limit, and `words` the message.
+    `limit` is the name of the violated constraint, on distance or speed at the waypoint, in the
+    Pyomo model. `relative` is the violation relative to the larger of 1 and the limit. `words` is a
+    text for the user with the limit and the actual distance [m] or speed [m/s].
     """
 
     limit: str
@@ -860,13 +863,13 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
     """Raise an error for a vehicle model that lacks a state which the controller measures.
 
     The controller needs the position, velocity, attitude and body rates of a quadrotor
-    (`MEASURED_STATES`). `dynamics` is the model with its states; `scenario` gives its name to the
-    message.
+    (`MEASURED_STATES`). `dynamics` is the vehicle model with its states. `scenario` is the scenario
+    of the model; the error message contains the name of the scenario.
 
     Raises
     ------
     ScenarioError
-        If a state is missing; the message names it.
+        If a state is missing; the error message names the missing state.
     """
     missing = next((name for name in MEASURED_STATES if name not in dynamics.state_names), None)
     if missing is not None:

@@ -57,12 +57,13 @@ _MOST_STRICTER = 4
 
 @dataclass(frozen=True)
 class AlongShortest:
-    """Starting point of a search for a plan: a known solution of the mission on a coarse mesh.
+    """Starting point of a search for a plan: the mission's solution along its shortest route.
 
-    The solution, `flight`, leads along the shortest route round keep-out zones or through a wind
-    field. It was computed, on a single mesh, by the preceding search for the best order of the
-    waypoints. The search for a plan does not repeat this solve, but still compares the solutions
-    along other routes with it.
+    A mission with keep-out zones or a wind field has several routes, of which one is the shortest.
+    `flight` is the solution along the shortest route, on a single coarse mesh. It was computed
+    before the search for a plan, when the best order of the waypoints was searched. The search for
+    a plan does not solve along the shortest route again, but still solves along the other routes
+    and compares their solutions with `flight`.
     """
 
     flight: Solution
@@ -149,9 +150,9 @@ class Candidate:
         return replace(self.plan_of(self.found), routes=self.routes, failure=self.failure)
 
     def plan_of(self, solution: Solution) -> Plan:
-        """Return the plan of the mission that consists of a solution, not verified by simulation.
+        """Return a plan that is made from a solution and is not yet verified by simulation.
 
-        `solution` is a solution of the mission's problem, converged or not.
+        `solution` is a solution of the mission's optimal control problem, converged or not.
         """
         seconds = time.perf_counter() - self._began
         timings = self.mission.timings | {"solve": seconds}
@@ -365,14 +366,16 @@ class Candidate:
         return self._retried(plain.trajectory)
 
     def restore(self) -> str | None:
-        """Diagnose the failed solve by an elastic problem; solve again from its feasible point.
+        """Diagnose the failed solve by an elastic problem, and solve the mission again.
 
-        In the elastic problem, constraints may be violated at a penalty.
+        The elastic problem minimises the violation of the mission's limits. If its solution
+        violates no limit, the solution is a feasible point of the mission, and the mission is
+        solved again from there.
 
         Returns
         -------
         str or None
-            The solver's status; None if the elastic problem has no feasible point.
+            The solver's status; None if no feasible point was found.
         """
         self.diagnosis = diagnose(self.found, progress=self.search)
         feasible = self.diagnosis.feasible_point
@@ -467,11 +470,13 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The status becomes "infeasible" if the mission's duration is below the least duration, or if
-        the elastic problem (limits may be violated at a penalty) has no feasible point. In both
-        cases it is "not converged" instead if another result suggests that the mission is possible,
+        The status of the solution becomes "infeasible" if the mission's duration is below the least
+        duration. It also becomes "infeasible" if the solution of the elastic problem, which
+        minimises the violation of the mission's limits, still violates a limit. In both cases the
+        status is "not converged" instead if another result suggests that the mission is possible,
         such as a feasible flight on a coarse mesh. The elastic problem alone is no proof if other
-        routes may be possible, because it only searches near the last iterate of one solve.
+        routes may be possible, because the elastic problem is only solved near the best iterate of
+        one failed solve.
         """
         if self.diagnosis is None:
             return
@@ -556,15 +561,16 @@ class Candidate:
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
     def keep_limits(self) -> str | None:
-        """Make the limits that the simulated flight breaks stricter, and solve again.
+        """Solve again with stricter values of the limits that the simulated flight breaks.
 
-        This is repeated until a simulated flight keeps the mission's limits, for a few solves at
-        most. The last plan becomes the attribute `flown`.
+        Such solves are repeated until the simulated flight of the new plan keeps the mission's own
+        limits, for a few solves at most. The last plan becomes the attribute `flown`.
 
         Returns
         -------
         str or None
-            Number of solves; None if no stricter limit is known.
+            Number of solves as text, such as "2 solves"; None if there was no solution with
+            stricter limits.
         """
         relaxed, asked, solves = self.found, self.scenario.solver.accuracy, 0
 

@@ -208,7 +208,9 @@ def flight_columns(
     Returns
     -------
     dict
-        Name of the column -> values, shape (n,): `TIME` first, then the columns of `columns_of`.
+        Name of the column -> values, shape (n,). The first column is the time; the others are body
+        and rotor motion, thrust, power, energy, wind, battery and motors, in the order in which the
+        function `columns_of` lists them.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
     columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
@@ -223,7 +225,10 @@ def flight_columns(
 def flight_frame(
     dynamics: Dynamics, t: FloatArray, states: FloatArray, controls: FloatArray, energy: FloatArray
 ) -> pd.DataFrame:
-    """Return the table of a flight, with the columns of `flight_columns`.
+    """Return the table of a flight, evaluated with the model's equations.
+
+    The first column is the time; the others are body and rotor motion, thrust, power, energy, wind,
+    battery and motors, as the function `flight_columns` computes them.
 
     Parameters
     ----------

@@ -224,7 +224,8 @@ class Allocation:
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
-        Matrix returned by `mixer_matrix`.
+        Matrix that maps squared rotor speeds to thrust and to roll, pitch and yaw moment, as the
+        function `mixer_matrix` returns it.
     limits : Limits
         Limits on rotor speeds, thrust and moments.
     """
@@ -277,7 +278,8 @@ class Allocation:
         Parameters
         ----------
         thrust : float
-            Total thrust [N], equal on all rotors before the moment is added.
+            Total thrust [N]. It is distributed equally over the rotors; a moment then changes the
+            rotor speeds from these equal values.
 
         Returns
         -------
@@ -779,7 +781,8 @@ class AdaptiveController:
         setpoint : Setpoint
             First setpoint of the reference.
         body : sequence of twelve floats
-            The `MEASURED_STATES`: position, velocity, attitude and body rates.
+            Position, velocity, attitude and body rates of the vehicle, in the order of the names in
+            `MEASURED_STATES`.
         last : sequence of 22 floats, optional
             The controller's states at the end of the previous reference, if there was one. The
             attitude command continues from them without a jump; only the position loop is reset.
@@ -787,7 +790,7 @@ class AdaptiveController:
         Returns
         -------
         list of 22 floats
-            The `CONTROLLER_STATES`.
+            Initial states of the controller, in the order of the names in `CONTROLLER_STATES`.
         """
         position, velocity, attitude, body_rates = body[0:3], body[3:6], body[6:9], body[9:12]
         angle_rates = self._kinematics.angle_rates(attitude, body_rates)
@@ -846,11 +849,12 @@ class AdaptiveController:
             Input that the method `command` computes from the reference path: setpoint, planned
             motion and released payload.
         body : sequence of twelve floats
-            The `MEASURED_STATES`: position, velocity, attitude and body rates.
+            Position, velocity, attitude and body rates of the vehicle, in the order of the names in
+            `MEASURED_STATES`.
         omega : sequence of four floats
             Rotor speeds, rad/s.
         states : sequence of 22 floats
-            The `CONTROLLER_STATES`.
+            States of the controller, in the order of the names in `CONTROLLER_STATES`.
 
         Returns
         -------
@@ -949,10 +953,12 @@ class AdaptiveController:
         """Return the commanded moments [N m], and the derivatives of the attitude loop's states.
 
         `setpoint` gives the yaw to follow, `tilt_acceleration` the commanded accelerations of roll
-        and pitch [rad/s^2]. `body` holds the `MEASURED_STATES` of the vehicle, `achieved` the roll,
-        pitch and yaw moments that the rotors produce at present [N m], and `states` the
-        `CONTROLLER_STATES`. The first result has the commanded roll, pitch and yaw moments, the
-        second the time derivatives of the nine states of the attitude loop.
+        and pitch [rad/s^2]. `body` holds position, velocity, attitude and body rates of the
+        vehicle, in the order of the names in `MEASURED_STATES`. `achieved` holds the roll, pitch
+        and yaw moments that the rotors produce at present [N m]. `states` holds the 22 states of
+        the controller, in the order of the names in `CONTROLLER_STATES`. The first result has the
+        commanded roll, pitch and yaw moments, the second the time derivatives of the nine states of
+        the attitude loop.
         """
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [

@@ -124,6 +124,9 @@ class WindMap:
 class LineCosts:
     """Cost and time of steady flight along straight lines through a wind field.
 
+    A leg is the flight from one waypoint to the next. The search for cheap routes between the ends
+    of one leg needs the costs of many lines near this leg.
+
     Attributes
     ----------
     told : Scenario
@@ -133,7 +136,7 @@ class LineCosts:
     power : callable
         Takes airspeeds [m/s] and returns the power of level flight [W].
     ends : ndarray, shape (2, 3)
-        Ends of the leg, from one waypoint to the next [m].
+        Start and end of the leg [m].
     duration : float
         Duration of the leg, or a guess if the duration is free [s]. The wind at a place is taken at
         the time when a flight of this duration at constant speed passes the place.

@@ -97,7 +97,8 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     Returns
     -------
     Spread
-        Distribution at times that are `NOISE_STEP` seconds apart.
+        Distribution at equally spaced times from start to end of the flight. The interval is at
+        most `NOISE_STEP`, the time [s] over which the noise of the turbulence is constant.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)

@@ -170,10 +170,11 @@ def _part(flown: Flown, chosen: slice) -> Flown:
 def _slope(dynamics: Dynamics, one: Flown, name: str, column: int) -> float:
     """Return the derivative of the depth inside a zone with respect to one coordinate.
 
-    The derivatives with respect to x, y and z give the direction out of the zone. `dynamics` has
-    the equations of the vehicle, with each zone as a limit; `name` is the name of this limit. `one`
-    is the sample of a flight at which the derivative is taken, and `column` the index of the
-    coordinate among the states. The result has the unit of the limit per metre.
+    The derivatives with respect to x, y and z together give the direction out of the zone.
+    `dynamics` has the equations of the vehicle and a path constraint for each zone. `name` is the
+    name of the constraint of the zone in question. `one` is the sample of a flight at which the
+    derivative is taken, and `column` the index of the coordinate among the states. The result has
+    the unit of the constraint per metre.
     """
     depths = []
     for step in (-_STEP_M, _STEP_M):

@@ -81,7 +81,8 @@ class Draws:
     numbers : mapping to ndarray, shape (n,)
         Parameters of the vehicle and the air that are constant during a flight.
     noise : mapping to ndarray, shape (n_steps, n)
-        Parameters that change during a flight; each value applies for `LONGEST_STEP_S` seconds.
+        Parameters that change during a flight, such as the noise of the turbulence. Each value
+        applies for one time step of `LONGEST_STEP_S` [s], the longest step of the integration.
     start : mapping to ndarray, shape (n,)
         States at take-off.
     """
