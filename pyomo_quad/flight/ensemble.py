@@ -167,7 +167,9 @@ TRACKS = ("x_m", "y_m", "z_m", SPEED, TILT, ENERGY, OFF)
 
 
 class EnsembleSimulation:
-    """Simulation of many vehicles of one scenario that follow one reference under feedback.
+    """Simulation of many flights of one scenario along one reference path, under feedback.
+
+    The flights differ in their random parameters, noise and initial states.
 
     Parameters
     ----------
@@ -178,7 +180,8 @@ class EnsembleSimulation:
     reference : callable
         Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str
-        Full names of the parameters, constant or over time, that differ between the flights.
+        Full names of the model parameters that differ between the flights. A parameter may be
+        constant during a flight or change over time.
     """
 
     def __init__(

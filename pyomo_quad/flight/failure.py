@@ -19,7 +19,8 @@ class Failure:
     Attributes
     ----------
     longest : NamedDuration
-        The mission's duration, or the greatest allowed duration if it is free.
+        The duration that the mission prescribes, or the greatest duration that it allows if the
+        duration is free, with the name of the scenario field that holds the value.
     shortest_duration_s : float or None
         The least time in which the mission can be flown within its limits; None if none was found.
     diagnosis : Diagnosis

@@ -114,8 +114,9 @@ class Flight(Summarised):
         Energy needed to reach the required final state from the flight's final state [J], estimated
         from the costates of a plan; NaN without a plan whose costates apply.
     broken_limits : tuple of str
-        Every limit that the flight violates by more than the tolerance, with the amount; the
-        worst limit of the model first.
+        Every limit that the flight violates by more than the tolerance, in words with the amount.
+        The limits of the model (path inequalities and bounds) come first, in order of decreasing
+        relative violation. The waypoints that the flight missed follow.
     resolves : tuple of Resolve
         Record of each re-planning solve during the flight.
     doubt : str
@@ -140,7 +141,11 @@ class Flight(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Name, energy, duration, distance from the goal and verification, as text."""
+        """Main results of the flight, as a mapping from the name of a result to its value as text.
+
+        The results are the flight's name, its energy, its duration, its distance from the goal and
+        whether it is verified.
+        """
         return {
             "flight": self.name,
             "energy": f"{self.energy_J:.2f} J",
@@ -204,8 +209,8 @@ class Flight(Summarised):
             Name of a limit without its index -> additional tolerance on its violation, in the unit
             of the limit.
         accuracy : Accuracy, optional
-            Accuracy required of the plan, which gives the tolerance on the relative violation of
-            every limit.
+            Accuracy required of the plan. This accuracy level sets the tolerance on the relative
+            violation of every limit.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)
@@ -272,8 +277,9 @@ def terminal_miss_of(
 ) -> dict[str, float]:
     """Return the difference between final and required value of each state that must reach a value.
 
-    `state` is the final state of the flight, shape (n_states,); `wanted` maps state names to
-    required final values. The result maps state names to final minus required value.
+    `state` is the final state of a flight, shape (n_states,), in the order of the equations
+    `dynamics`. `wanted` maps names of states to their required final values. The result maps the
+    same names to final minus required value.
     """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}

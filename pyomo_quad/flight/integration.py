@@ -1,4 +1,4 @@
-"""Integration of ordinary differential equations by SciPy, and of linear ones by exponentials.
+"""Integration of ordinary differential equations by SciPy; of linear ones by matrix exponentials.
 
 For linear equations see docs/theory/risk.md, eq. (5), and docs/theory/tracking.md, eq. (2).
 """

@@ -60,7 +60,8 @@ def shortest_flight(
     progress : callable or None
         Called at each Ipopt iteration; returning False stops the solve.
     is_exact : bool, optional
-        Whether to refine the mesh in any case, to the relative tolerance `_TIME_TOLERANCE`.
+        Whether the least duration is itself the result wanted. The mesh is then refined in any
+        case, to the tolerance `_TIME_TOLERANCE` on the relative error.
 
     Returns
     -------
@@ -111,9 +112,9 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     Returns
     -------
     dict
-        Nominal value of a free time [s] -> its Pyomo variable. The nominal value is the time that
-        the scenario prescribes or estimates; as a member of the model's continuous time set, it
-        stands for the variable.
+        Nominal value of each free time [s] -> the Pyomo variable of this time. The nominal value is
+        the time that the scenario prescribes or estimates. The model's continuous time set contains
+        the nominal value in place of the unknown time.
 
     Raises
     ------
@@ -199,7 +200,7 @@ class Approach:
     def closest(self) -> Plan:
         """Verified plan of the shortest duration, or the first plan if none is verified.
 
-        Its message also states the least duration.
+        The message of the returned plan also states the plan's duration and the least duration.
         """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (

@@ -201,9 +201,11 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
-    It has a smaller radius, a lower speed limit, and a hover that begins earlier and ends at the
-    same time. `margins` maps the names of these limits, `RADIUS`, `SPEED` and `HOLD`, to the
-    amounts by which they are tightened, in m, m/s and s.
+    The returned waypoint has a smaller radius, a lower speed limit, and a hover that begins earlier
+    and ends at the same time as the hover of `waypoint`. `margins` maps the full name of a scenario
+    field to the amount by which its limit is tightened. Three fields are used here: radius [m],
+    speed limit [m/s] and duration of the hover [s]. The constants `RADIUS`, `SPEED` and `HOLD` are
+    their names.
     """
     changed: dict[str, float] = {}
     if waypoint.radius:

@@ -87,7 +87,10 @@ class MissionProblem:
 
     @property
     def has_routes(self) -> bool:
-        """Whether the mission has several routes, round keep-out zones or through a wind field."""
+        """Whether there may be several routes, past keep-out zones or through a wind field.
+
+        The mission is then solved along several routes. For a user's own model this is False.
+        """
         return self.problems.has_routes(self.told)
 
     @cached_property
@@ -239,16 +242,18 @@ class MissionProblem:
     ) -> tuple[Solution, Solution | None]:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        `easier` holds the easier parameter values, the easiest first. If the solution `reached` is
-        given, the first solve starts from it; otherwise it starts from `guess` on `mesh`.
+        `easier` holds the easier parameter values (parameter name -> value), the easiest first; one
+        problem is solved for each mapping. `reached` is the solution of a still easier problem, or
+        None. If `reached` is given, the first solve starts from `reached`, on its mesh; otherwise
+        the first solve starts from the initial guess `guess` on the mesh `mesh`.
 
         Returns
         -------
         Solution
             Result of the last solve, converged or not.
         Solution or None
-            Solution of the first easier problem that was solved: `reached`, if it was given. None
-            if no easier problem was solved.
+            Solution of the easiest problem that was solved: `reached` if it was given, otherwise
+            the first converged solution with easier values; None if there is none.
         """
         first = reached
         for numbers in easier:
@@ -313,9 +318,11 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """An easier mission with exact waypoint passages; None if the passages are exact already.
+        """Problem of an easier mission, which passes its waypoints exactly.
 
-        The waypoints have no radius and no speed limit, which makes a first solve easier.
+        In the easier mission, the waypoints have no radius and no speed limit. The solution of the
+        easier mission is an initial point for this mission. The property is None if this mission
+        passes its waypoints exactly already.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
@@ -341,9 +348,12 @@ class MissionProblem:
         return power * (end - start)
 
     def until_usable(self, flown: Solution) -> Solution:
-        """Refine the mesh of a coarse solution until the search has a usable plan.
+        """Refine the mesh of a coarse solution until a usable plan is found.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
+        attribute `search` (progress callback of the solves) stores the usable plan. No finer mesh
+        is solved if there is no `search`, or if it has a usable plan already. The refinement also
+        ends after a fixed number of meshes.
 
         Parameters
         ----------
@@ -387,11 +397,12 @@ class MissionProblem:
         return self.solve(mesh=flown.mesh, warm_start=flown, refinement=refinement)
 
     def keep_usable(self, finished: Solution) -> None:
-        """Let the search make a usable plan from the solution on one mesh of the refinement.
+        """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested; a search
-        that is stopped returns it. `finished` is the solution. The mesh refinement calls this
-        method after the solve on each mesh.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
+        attribute `search` (progress callback of the solves) stores the usable plan, which is the
+        result if the user or the time limit stops the solve. The mesh refinement calls this method
+        after the solve on each mesh. Nothing happens if there is no `search`.
         """
         search = self.search
         if search is None:

@@ -299,7 +299,8 @@ class OutsidePlant:
     def turned_back(self, vector: FloatArray) -> FloatArray:
         """Return the components of a vector along the body axes of the scenario's model.
 
-        `vector` has its components along the body axes of RotorPy's vehicle. Both have shape (3,).
+        `vector` has the components of the same vector along the body axes of RotorPy's vehicle. The
+        argument and the result have shape (3,).
         """
         return np.asarray(self._turn.apply(vector))
 
@@ -419,7 +420,7 @@ class OutsidePlant:
         Returns
         -------
         Flown
-            Samples of the flight, with the states of the declared model.
+            Samples of the flight, with the states of the scenario's Pyomo model.
 
         Raises
         ------
@@ -616,13 +617,14 @@ def fly_under(
         Control law: takes time, the states of the scenario's Pyomo model and the law's own states;
         returns rotor accelerations [rad/s^2] and the time derivatives of the law's own states.
     plan : Plan, optional
-        Plan whose initial state is the initial state of the flight. Its costates give an estimate
-        of the energy that is needed to reach the goal from the end of the flight.
+        Plan whose initial state is the initial state of the flight. The plan's costates give an
+        estimate of the energy that is needed to reach the goal from the end of the flight. Without
+        a plan, the flight begins in hover at the start of the mission, and there is no estimate.
     own : sequence of float
         Initial values of the law's own states.
     borders : sequence of float, optional
-        Increasing times [s] between which a law without feedback is smooth; None for a feedback
-        law.
+        Increasing times [s] between which a law without feedback is smooth, including start and end
+        of the flight; None for a feedback law.
 
     Returns
     -------
@@ -701,13 +703,13 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 
 
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
-    """Return a plan's controls as a control law, and the times between which it is smooth [s].
+    """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
     The law is applied to RotorPy's vehicle `plant`. The times are the boundaries of the plan's mesh
-    elements. The law returns the planned rotor accelerations. If the motors of the simulator
-    receive rotor-speed commands at a fixed rate (`Habits.command_rate_hz` is given), the law adds
-    the acceleration that removes the difference between planned and actual rotor speed, so that the
-    command equals the planned rotor speed.
+    elements. The law returns the planned rotor accelerations. The attribute `command_rate_hz` of
+    the simulation's switches `Habits` may prescribe that motors receive rotor-speed commands at a
+    fixed rate. In this case the law adds the acceleration that removes the difference between
+    planned and actual rotor speed, so that the command equals the planned rotor speed.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

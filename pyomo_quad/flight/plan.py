@@ -89,9 +89,10 @@ class Trajectories:
     hamiltonian: FloatArray
 
     def fractions(self, t: FloatArray) -> FloatArray:
-        """Return n times `t` [s] as fractions of the flight's duration, shape (n,).
+        """Convert times to fractions of the flight's duration.
 
-        The fraction is 0 at and before the start of the flight, 1 at and after its end.
+        `t` holds n times [s]. The result has shape (n,): 0 at and before the start of the flight,
+        1 at and after its end, and linear in time in between.
         """
         start, end = self.horizon
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
@@ -285,12 +286,14 @@ def write_plan_file(
 
 
 def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, WarmStart | None]:
-    """Read a plan file and return its scenario, attributes, arrays and warm start.
+    """Read a plan file and return the scenario, attributes, arrays and warm start of the plan.
 
     Returns
     -------
     (Scenario, PlanRecord, Trajectories, WarmStart or None)
-        None if the file contains no variables and multipliers from which a solve can start.
+        Scenario of the plan, attributes stored as text, arrays, and the warm start: variables and
+        multipliers from which another solve can start. The warm start is None if the file contains
+        none.
 
     Raises
     ------
@@ -528,7 +531,11 @@ class Plan(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Scenario, status, energy, estimated error, mesh size and message, as text."""
+        """Main results of the plan, as a mapping from the name of a result to its value as text.
+
+        The results are the scenario's name, the status, the energy, the estimated error, the size
+        of the mesh and the message.
+        """
         return {
             "scenario": self.scenario.name,
             "status": self.status.value,
@@ -867,8 +874,9 @@ class Plan(Summarised):
         Parameters
         ----------
         what : str, default "path"
-            "path", "states", "controls", "energy", "motors", "battery", "wind", "way", "mesh", ...,
-            or a column of `to_frame`; an unknown name lists all of them.
+            Name of a figure of the plan's report, such as "path", "states", "controls", "energy",
+            "motors", "battery", "wind", "way" or "mesh"; or a column of `to_frame`, which is drawn
+            over time. The error message for an unknown name lists all names.
 
         Returns
         -------

@@ -115,8 +115,8 @@ class Planner(Problems):
         durations that decrease towards the least duration, each from the previous solution. The
         plan returned is the last verified flight. If the minimum-time problem cannot be solved, the
         mission is solved without the aim of least time, and the plan gets the status "not
-        converged". Only this solve starts from `start`, the initial point (None for the model's
-        own). `search` is the progress callback of all solves.
+        converged". Only in this case is the initial point `start` used (None for the model's own):
+        the solve without the aim starts from it. `search` is the progress callback of all solves.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

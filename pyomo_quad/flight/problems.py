@@ -77,10 +77,10 @@ class Problems:
         return self._builder is build_model
 
     def has_routes(self, scenario: Scenario) -> bool:
-        """Return whether a mission may have several routes, round zones or through a wind field.
+        """Return whether there may be several routes, past keep-out zones or through a wind field.
 
-        The mission is then solved along several routes, and the solutions are compared. The result
-        is False for a user's own model.
+        The mission of the scenario is then solved along several routes, and the solutions are
+        compared. The result is False for a user's own model.
         """
         has_choice = bool(scenario.airspace.keep_out) or has_corridors(scenario)
         return self.is_declared and has_choice

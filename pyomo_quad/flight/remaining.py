@@ -207,9 +207,10 @@ class Remainder:
 
 
 def _graded(start: float, stop: float) -> list[float]:
-    """Return the breakpoints of mesh elements between two times, without the two times [s].
+    """Return the breakpoints of mesh elements between the times `start` and `stop` [s].
 
-    The elements are short near `start` and `stop`, and long in the middle.
+    The breakpoints are times [s], in increasing order; `start` and `stop` themselves are not among
+    them. The elements are short near `start` and `stop`, and long in the middle.
     """
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
