@@ -334,12 +334,15 @@ class Replanner:
         return trajectories_of(found)
 
     def prepare(self, plan: Trajectories) -> None:
-        """Solve the remaining mission at take-off and after each waypoint, for later warm starts.
+        """Solve, before take-off, each remaining mission for the warm starts of later re-plans.
 
-        Each solve starts from a state of `plan`, the plan made before take-off. If its solution
-        violates a soft limit, the penalty on violations is increased and the solve is repeated. A
-        penalty above the norm of the multipliers is exact: with it, the solution violates no limit
-        if a solution without violation exists.
+        The remaining missions are the whole mission and the mission after each waypoint. Each is
+        solved from the state that `plan`, the plan made before take-off, has at its start. The
+        object stores the solutions, from which the first re-plans in flight are warm-started.
+
+        If a solution violates a soft limit, the penalty on violations is increased and the solve is
+        repeated. A penalty above the norm of the multipliers is exact: with such a penalty, the
+        solution violates no limit if a solution without violation exists.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -471,16 +474,17 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        If the flight is near its plan, the result is the planned state. Near means that the
-        distance between the measured and the planned position is at most the attribute `tube` [m],
-        at which the controller uses its largest correction. In this case the controller corrects
-        the deviation; a re-plan from the measured state would follow each lag of the vehicle. If
-        the flight is not near its plan, position and velocity are moved from the plan towards the
-        measured values, just as far as needed to bring the flight near the re-plan.
+        The prediction begins with the planned state at the time `end`. In this state, attitude and
+        rotor speeds are changed so that the thrust also balances the estimated unexplained
+        acceleration. Without this change, the re-plan would begin with a turn to the balancing
+        attitude.
 
-        Attitude and rotor speeds are those of the plan, changed by the amount that balances the
-        estimated unexplained acceleration. Without this change, the re-plan would begin with a turn
-        to the balancing attitude.
+        Position and velocity are the planned ones if the flight is near its plan. Near means that
+        the distance between the measured and the planned position is at most the attribute `tube`
+        [m], at which the controller uses its largest correction. In this case the controller
+        corrects the deviation; a re-plan from the measured state would follow each lag of the
+        vehicle. If the flight is not near its plan, position and velocity are moved from the plan
+        towards the measured values, just as far as needed to bring the flight near the re-plan.
 
         Parameters
         ----------
@@ -547,9 +551,11 @@ def breach_of(solution: Solution) -> float:
 
 
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
-    """Return the rest of a mission after its first 0, 1, 2, ... waypoints, with compiled problems.
+    """Return the remaining missions after the first 0, 1, 2, ... waypoints of a mission.
 
-    `believed` is the mission with the wind and the vehicle that plans assume.
+    Each entry of the result has one remaining mission with its compiled optimal control problem;
+    the last entry is the flight from the last waypoint to the goal. `believed` is the whole
+    mission, with the wind and the vehicle that plans assume.
     """
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
@@ -606,7 +612,9 @@ def _compiled(left: Scenario) -> Problem:
 def with_mass(scenario: Scenario, belief: Belief) -> Scenario:
     """Return the scenario with the estimated mass of the vehicle.
 
-    `belief.mass` is the estimated mass with the payload at take-off; the payload is unchanged.
+    `belief.mass` is the estimate: the mass of the vehicle together with the payload that it carries
+    at take-off [kg]. In the result, the payload is that of `scenario`, and the mass of the vehicle
+    without payload is the estimate minus this payload.
     """
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - vehicle.payload})

@@ -149,10 +149,12 @@ class _Observer:
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
-        """Return the mass and the horizontal acceleration that explain the present estimate.
+        """Return a mass and a horizontal acceleration that explain the unexplained acceleration.
 
-        The vertical part of the estimated acceleration is attributed to the mass. `flown` is the
-        last simulated part of the flight; the thrust at its end relates acceleration and mass.
+        The vertical part of the estimated unexplained acceleration is attributed to a wrong mass:
+        the same thrust accelerates a lighter vehicle more. The thrust is taken from the end of
+        `flown`, the last simulated part of the flight. The horizontal part, without the horizontal
+        effect of the changed mass, is attributed to the air.
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -422,9 +424,10 @@ def fly_replanned(
     Raises
     ------
     ScenarioError
-        If the model is not the package's own model.
+        If the vehicle model `dynamics` lacks a state that the controller measures: position,
+        velocity, attitude or body rates.
     SolveError
-        If there is no plan before take-off, or the flight is out of control.
+        If the solve before take-off fails, or the flight is out of control.
     """
     began = perf_counter()
     refuse_other_vehicles(scenario, dynamics)

@@ -642,7 +642,9 @@ class _Search:
         Margins are the amounts by which limits are tightened for the plan. The covariance of
         flights in turbulence about a plan determines the margins that the allowed risk requires. A
         plan with these margins has another covariance, and so requires other margins: the solves
-        are a fixed-point iteration. `tried` is the plan from which it starts.
+        are a fixed-point iteration. `tried` is the plan from which the iteration starts. The result
+        is the last plan that was solved. It has the required margins, unless the iteration ended
+        early: after a failed solve, after `_PLANS` solves, or because the user stopped the search.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)

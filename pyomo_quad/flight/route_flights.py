@@ -79,20 +79,23 @@ class RouteFlights:
             self._is_pruned = True
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
-        """Solve the mission along its candidate routes; return the best solution and all results.
+        """Solve the mission along candidate journeys; return the best solution and all results.
+
+        A journey is a sequence of routes, one for each leg from one waypoint to the next.
 
         Parameters
         ----------
         most : int, optional
-            Largest number of routes, the shortest first; by default all candidates.
+            Largest number of journeys; by default all candidates. The shortest journeys are taken
+            first, in a wind field the journeys of least estimated cost.
 
         Returns
         -------
         Solution
             The best solution, refined to the mission's tolerance. If keep-out zones block every
-            route, its status is infeasible and its message names the zones.
+            journey, its status is infeasible and its message names the zones.
         tuple of TriedRoute
-            Result for each route; empty if zones block every route.
+            Result for each journey; empty if zones block every journey.
         """
         try:
             journeys = self._journeys(most)
@@ -174,18 +177,21 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _begin(self, number: int, solution: Solution) -> None:
-        """Refine the first solution until a usable plan is found, before other routes are solved.
+        """Refine a solution until it gives a usable plan, if no solution was refined before.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested; it is the
-        result if the user stops the search. The first route is the shortest, so its refined
-        solution is often needed later too. For further solutions, nothing is done.
+        The method is called after the solve along each journey (a route for each leg of the
+        mission), the shortest journey first. It makes a usable plan early, before the solves along
+        the other journeys. A usable plan is a plan that simulation confirms at lower accuracy than
+        requested; it is the result if the user stops the search. The refined solution is stored,
+        because the solution along the shortest journey is often needed later too. Nothing is done
+        after a failed solve, or if the scenario requires the highest accuracy, `proof`.
 
         Parameters
         ----------
         number : int
-            Number of the solution's journey (a route for each leg of the mission).
+            Number of the journey.
         solution : Solution
-            Solution on one coarse mesh.
+            Solution along this journey on one coarse mesh.
         """
         is_first = not self._begun and self._is_pruned and not self._mission.easier
         if is_first and solution.status.is_solved and self._scenario.solver.max_refinements > 0:
@@ -194,12 +200,13 @@ class RouteFlights:
                 self._begun[number] = refined
 
     def _most(self, most: int, error: float) -> int:
-        """Return how many of the cheapest journeys are to be solved on a finer mesh.
+        """Return how many of the cheapest journeys are to be solved on a finer mesh, at most.
 
-        A journey is a route for each leg of the mission. Journeys whose energies differ by less
-        than the relative error `error` of the present mesh cannot be ranked. As a rule, as many as
-        `most` of them are solved again. The exception is an `error` within the tolerance of the
-        mission: the result is then one, because any other journey saves less than the tolerance.
+        A journey is a route for each leg of the mission. `error` is the relative error of the
+        energies on the present mesh. Journeys whose energies differ by less than `error` cannot be
+        ranked on this mesh; several journeys are therefore solved again, and the result is `most`.
+        If `error` is within the tolerance of the mission, the result is 1, because any other
+        journey then saves less energy than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 

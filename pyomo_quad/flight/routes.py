@@ -132,8 +132,9 @@ def find_routes(
     Returns
     -------
     tuple of Route
-        Empty if there is no route. Corners of a route keep the distance `zones.MARGIN_M` from each
-        zone and its clearance, so that a narrower gap between zones counts as closed.
+        Empty if there is no route. The distance of a route's corners from each zone exceeds the
+        required clearance by the constant `zones.MARGIN_M` [m]. A gap between two zones that is too
+        narrow for such a corner counts as closed.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)

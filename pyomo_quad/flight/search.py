@@ -276,8 +276,9 @@ class Search:
     def _given_up(self, plan: Plan) -> Plan:
         """Return the last plan with status "not converged" if the search ran out of time.
 
-        Its message then states how far the search came. The plan is returned unchanged before the
-        time limit, if simulation confirms it, or if its mission was found infeasible.
+        `plan` is the last plan of the search. The message of the returned plan states how far the
+        search came. In three cases `plan` is returned unchanged: if the time limit has not been
+        reached, if simulation confirms `plan`, or if the mission was found infeasible.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan

@@ -58,9 +58,16 @@ _ROUNDING = 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Trim:
-    """Steady flight at a constant velocity: states, controls and power [W].
+    """Steady flight at a constant velocity: states, controls and power.
 
-    States, shape (n_states,), and controls, shape (n_controls,), have the order of the dynamics.
+    Attributes
+    ----------
+    states : ndarray, shape (n_states,)
+        States, in the order of the states in the compiled equations.
+    controls : ndarray, shape (n_controls,)
+        Controls, in the order of the controls in the compiled equations.
+    power_W : float
+        Power drawn in the steady flight [W].
     """
 
     states: FloatArray
@@ -94,7 +101,8 @@ class SteadyFlight:
     scenario : Scenario
         The scenario, which gives the initial position and state of charge.
     dynamics : Dynamics
-        The compiled equations, with the wind of the flight; `Planner.steady_flight` uses still air.
+        The compiled equations of the vehicle in the wind of the steady flight, which may be still
+        air.
     known : mapping, optional
         State name -> initial value, for states of a user's own model that the mission does not
         define.
@@ -340,11 +348,12 @@ class SteadyFlight:
         return self._over_speeds("power.total", speed)
 
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
-        """Return the total power [W] if all rotors turn at the same, constant speed.
+        """Return the total power [W] at equal, constant rotor speeds; it may be negative.
 
-        If braking returns no energy, the model replaces a negative power by zero (see the module
-        `model.power`). Unlike `power`, this method returns the value before the replacement, which
-        may be negative. `speed` has rotor speeds [rad/s].
+        In a model in which braking a rotor returns no energy, a negative power is replaced by zero
+        (see the module `model.power`). The method `power` returns the total power after this
+        replacement, and the present method returns the total power before it. `speed` has rotor
+        speeds [rad/s]; the result has the same shape.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
@@ -411,10 +420,11 @@ class SteadyFlight:
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
-        """Return the energy in a full battery down to a depth of discharge, without losses [J].
+        """Return the energy of discharging a full battery to a given depth, without losses [J].
 
-        `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
-        points.
+        The energy is the integral of the open-circuit voltage over the charge drawn, and includes
+        what a real discharge loses inside the battery. `depth` is the depth of discharge (fraction
+        of the capacity that is drawn), and `samples` the number of quadrature points.
         """
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(CHARGE_STATE)

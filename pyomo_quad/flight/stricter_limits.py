@@ -88,8 +88,9 @@ class Mission(Protocol):
     def solve(self, numbers: dict[str, float], **chosen: Any) -> Solution:
         """Solve the mission with changed parameter values and further arguments of `Problem.solve`.
 
-        `numbers` maps the full name of a parameter to its value. `chosen` holds arguments of
-        `Problem.solve` that replace those of `arguments`.
+        `Problem.solve` is the solver of the compiled problem. Its usual arguments for the mission
+        are given by the property `arguments`; `chosen` holds arguments that replace them. `numbers`
+        maps the full name of each changed parameter to its value.
         """
 
 
@@ -215,9 +216,10 @@ def _helps(breach: Violation, figures: Figures) -> bool:
     `breach` is the violation, and `figures` has the tolerances that the plan must meet. A stricter
     limit helps if a parameter of the model sets the limit, and if the violation is small. Limits on
     the rotors' speed and thrust are an exception: stricter ones cost more energy than any accuracy
-    level tolerates. They are tried only if a usable plan is enough, that is if `figures` is
-    `scenario.accuracy.USABLE`, the wider tolerances of a plan of which lower accuracy than
-    requested is accepted. In all other cases only a finer mesh helps.
+    level tolerates. They are tried only in the search for a usable plan (a plan that simulation
+    confirms at lower accuracy than requested). In this search, `figures` is the constant `USABLE`
+    of `scenario.accuracy`, the tolerances of a usable plan. In all other cases only a finer mesh
+    helps.
     """
     name = breach.name.partition("[")[0]
     is_affordable = name not in _DEAR or figures is USABLE
@@ -337,8 +339,9 @@ def _windows(
     figures : Figures
         Tolerances of the required accuracy.
     numbers : mapping
-        Full name of a parameter -> value of the limit that the flight is compared with, if this
-        limit is stricter than that of the mission; the other limits are those of the mission.
+        Full name of a parameter that sets a limit -> its value. The flight is compared with the
+        limits that these values set. All parameters that are not in the mapping have the value of
+        the mission. An empty mapping thus means the mission's own limits.
 
     Returns
     -------

@@ -125,11 +125,15 @@ class LegTable:
         """Return the cost of each leg [J]: solved, or an optimistic prediction.
 
         A leg is the flight from one place to another, from hover to hover. Its cost is the energy
-        plus the price of time times the duration. The prediction for unsolved legs is the
-        regression of docs/theory/orders.md, eq. (1), minus twice its cross-validated root mean
-        square error. For a leg whose solve failed, the error is not subtracted: the duration of
-        the leg may be too short for a flight from hover to hover, but long enough for a flight that
-        does not stop at the ends of the leg.
+        plus the price of time times the duration. The prediction for a leg that was not tried is
+        the value of the regression of docs/theory/orders.md, eq. (1), minus twice the
+        cross-validated root mean square error of the regression. As long as no leg is solved, the
+        lengths of the legs [m] serve as costs.
+
+        A leg whose solve failed has the value of the regression, without subtraction. Its cost is
+        not infinite, because an order may still use the leg. The duration may be too short for a
+        flight from hover to hover, but long enough for a flight that does not stop at the ends of
+        the leg.
 
         Returns
         -------

@@ -112,12 +112,14 @@ def tracked(
     -------
     Trajectories or None
         States, controls and energy of the flight, on the solution's mesh with long elements split;
-        costates and Hamiltonian are interpolated. None if the vehicle cannot follow the solution.
+        costates and Hamiltonian are interpolated. None if the vehicle cannot follow the solution,
+        so that one of its states grows beyond any physical value.
 
     Raises
     ------
     SolveError
-        If the integrator fails, or if the vehicle tumbles far from its path.
+        If the integrator fails, or if it needs too many evaluations of the equations in one
+        element, because the vehicle tumbles far from its path.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)

@@ -71,7 +71,7 @@ def plan_of(
     timings : dict
         Computing time so far [s] by phase, such as "build" and "compile".
     hover_energy : float
-        Energy of hovering for the same time [J].
+        Energy of hovering in still air for the duration of the solution [J], for comparison.
 
     Returns
     -------
