@@ -184,7 +184,8 @@ class RouteFlights:
         the other journeys. A usable plan is a plan that simulation confirms at lower accuracy than
         requested; it is the result if the user stops the search. The refined solution is stored,
         because the solution along the shortest journey is often needed later too. Nothing is done
-        after a failed solve, or if the scenario requires the highest accuracy, `proof`.
+        after a failed solve, if a waypoint has a radius or a speed limit, if the scenario allows no
+        mesh refinement, or if it requires the highest accuracy, `proof`.
 
         Parameters
         ----------

@@ -90,7 +90,7 @@ class Mission(Protocol):
 
         `Problem.solve` is the solver of the compiled problem. Its usual arguments for the mission
         are given by the property `arguments`; `chosen` holds arguments that replace them. `numbers`
-        maps the full name of each changed parameter to its value.
+        maps the full names of parameters to values, changed or not.
         """
 
 
