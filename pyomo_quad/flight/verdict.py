@@ -188,11 +188,12 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback until its flight keeps all limits, and simulate it.
 
-    A simulated flight under feedback follows the plan, and its controls are the corrected controls.
-    If it breaks limits, further flights under feedback are simulated. The corrections of each
-    flight anticipate the deviations that the flight before it had. The path that these flights
-    follow is displaced out of the zones that earlier flights entered. If an earlier flight moved
-    during a hover at a waypoint, the path is at rest during all hovers.
+    First, a flight that follows the planned path under feedback is simulated. The controls of this
+    flight are the corrected controls. If the flight breaks limits, further flights under feedback
+    are simulated. The corrections in each further flight anticipate the deviations of the previous
+    flight. The path that the further flights follow is the planned path, displaced out of the zones
+    that earlier flights entered. If an earlier flight moved during a hover at a waypoint, this path
+    is at rest during all hovers.
 
     Parameters
     ----------
@@ -311,15 +312,18 @@ def _followed(
     previous: Trajectories | None,
     rests: Sequence[tuple[float, float]],
 ) -> Plan:
-    """Return a plan whose controls are corrected by feedback, so that they fly the planned path.
+    """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
 
-    The corrected plan is a simulated flight that follows `plan` under feedback (see the module
-    `flight.tracking`), with the energy of this flight. The relative difference between this energy
-    and `least_energy`, the energy of the optimum [J], replaces the plan's error estimate if it is
-    larger; see docs/theory/tracking.md, eq. (5). The plan is returned unchanged if the vehicle
-    cannot follow it. `displacement` pushes the path that the vehicle follows out of zones.
-    `previous` is an earlier flight along the plan, whose deviations the corrections anticipate, or
-    None. `rests` has the start and end times [s] of hovers in which the vehicle is to be at rest.
+    `plan` is the plan before the correction. The corrected plan has the states, controls and energy
+    of a simulated flight that follows the path of `plan` under feedback (see the module
+    `flight.tracking`). If the vehicle cannot follow this path, the result is `plan`, unchanged.
+    `least_energy` is the energy of the optimum [J]. The error estimate of the corrected plan is the
+    larger of two numbers: the error estimate of `plan`, and the relative difference between the
+    energy of the simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5).
+    `displacement` pushes the path that the vehicle follows out of zones. `previous` has the states
+    and controls of an earlier flight along the path, or is None; the corrections anticipate the
+    deviations of this earlier flight. `rests` has the start and end times [s] of the hovers in
+    which the vehicle is to be at rest.
     """
     followed = tracked(plan.dynamics, plan.trajectories, displacement, previous, rests)
     if followed is None:

@@ -278,8 +278,9 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
     A wind field (wind as a function of place and time) is known in a limited region and period
-    only. `scenario` has the wind field, and `flown` has the samples of the flight in the order of
-    the equations `dynamics`. For a model without positions the result is empty.
+    only. `scenario` has the wind field, and `flown` has the samples of the flight. `dynamics` are
+    the equations of the vehicle, whose state names tell which columns of the samples are the
+    positions. For equations without positions among their states, the result is empty.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -331,7 +332,10 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
 
 
 def _equal_shares(count: int) -> FloatArray:
-    """Return the ends of ``count`` equal parts of an element, as fractions up to 1."""
+    """Return the ends of ``count`` equal parts of a mesh element, as fractions of the element.
+
+    The result increases, ends with 1 and has shape (count,). A flight is sampled at these ends.
+    """
     return np.linspace(0.0, 1.0, count + 1)[1:]
 
 
@@ -414,6 +418,7 @@ class Passage:
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
     """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0.
 
+    `dynamics` are the equations of the vehicle, whose state names tell which states are positions.
     `flown` has the samples of the flight, and `passage` the waypoint with its passing time.
     """
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
@@ -510,6 +515,12 @@ def compared(
         Waypoints that the flight should pass, with times.
     accuracy : Accuracy
         The required accuracy, which sets the tolerances.
+
+    Returns
+    -------
+    Verification
+        Deviations of the flight from the plan, violated limits, shortfalls of the battery, and the
+        accuracy level that the flight reaches.
     """
     figures = FIGURES[accuracy]
     planned = dict(zip(dynamics.state_names, wanted, strict=True))

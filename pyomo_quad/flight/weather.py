@@ -139,6 +139,13 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     The uncertain quantities are speed and direction of the wind, mass, and hover power. The
     scenario states their standard deviations; quantities without one are left out.
 
+    Parameters
+    ----------
+    planner : Planner
+        Planner with which the hover power is computed, if the hover power is uncertain.
+    scenario : Scenario
+        Scenario that states the standard deviations and the forecast wind.
+
     Returns
     -------
     tuple of dict

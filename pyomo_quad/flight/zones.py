@@ -265,9 +265,10 @@ def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
 
 
 def places_beside(zone: KeepOut, clearance: float, ends: FloatArray) -> FloatArray:
-    """Return points round a keep-out zone, which are nodes of the graph of routes.
+    """Return points round a keep-out zone, through which a route can pass the zone.
 
-    Straight lines between neighbouring points keep the clearance from the zone.
+    The points become nodes of the graph in which shortest routes are searched. Straight lines
+    between neighbouring points keep the clearance from the zone.
 
     Parameters
     ----------

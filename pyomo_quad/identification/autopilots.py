@@ -1,8 +1,9 @@
 """Readers of autopilot logs: PX4 (`.ulg`) and ArduPilot (`.BIN`).
 
-The readers return a table with the columns that `COLUMNS` lists; each row is the average over a
-second of flight. Each log is one flight, named after its file. All airborne rows count as cruise,
-and the payload is 0. If the log has no barometer, the air density at sea level is assumed.
+The readers return a table with the columns of a flight log, which the mapping `COLUMNS` of the
+module `identification.columns` lists. Each row is the average over a second of flight. Each log is
+one flight, named after its file. All airborne rows count as cruise, and the payload is 0. If the
+log has no barometer, the air density at sea level is assumed.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -233,11 +234,12 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 
 
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
-    """Return the rows of an ArduPilot message that its first sensor or filter instance has written.
+    """Return the rows of an ArduPilot message that the first sensor or filter has written.
 
-    `message` is the table of all logged messages of one kind, with one column for each field.
-    `name` is the name of this kind, for an error text, and `needed` are the fields that the table
-    must have.
+    Several sensors of one kind, or several instances of the Kalman filter, may write the same
+    message, each with its own number; only the rows with the least number are returned. `message`
+    is the table of all logged messages of one kind, with one column for each field. `name` is the
+    name of this kind, for an error text, and `needed` are the fields that the table must have.
     """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(

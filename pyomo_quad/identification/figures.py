@@ -42,6 +42,11 @@ def identification_drawings(
         Vehicle fitted to flights.
     pack : PackIdentification, optional
         Battery fitted to the same flights, if the logs have voltages.
+
+    Returns
+    -------
+    tuple of Drawing
+        Name, title, caption and drawing function of each figure.
     """
     drawings = (
         Drawing(

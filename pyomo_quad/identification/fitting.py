@@ -533,9 +533,9 @@ def identify(
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the vehicle before the fit, from `vehicle_scenario`.
+        Scenario with the vehicle before the fit, from the function `motion.vehicle_scenario`.
     frame : DataFrame
-        Rows of at least two flights, from `read_logs`.
+        Rows of at least two flights, from the function `logs.read_logs`.
     names : sequence of str, optional
         Fields of the vehicle to fit, chosen from `FITTABLE`, the list of fields that can be fitted.
 
@@ -591,9 +591,9 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
         Least-squares problem, which holds the rows of the log.
     values : ndarray, shape (n,)
         Parameters fitted to all flights.
-    draws : ndarray, shape (draws, n)
-        Parameters fitted to random draws of the flights, from which their standard deviations
-        follow.
+    draws : ndarray, shape (n_draws, n)
+        Parameters fitted to random draws of the flights, one row for each draw. The standard
+        deviation of a parameter is that of its column.
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)

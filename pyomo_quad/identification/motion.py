@@ -56,10 +56,15 @@ def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scen
     model : PowerModel, optional
         Power model, whose parameters are identified.
 
+    Returns
+    -------
+    Scenario
+        Scenario with the vehicle and the power model.
+
     Raises
     ------
     ScenarioError
-        If there is no such vehicle, or it lacks a number.
+        If there is no such vehicle, or the vehicle lacks a required field, such as the mass.
     """
     file = Path(base)
     tables = {

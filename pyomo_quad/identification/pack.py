@@ -530,9 +530,11 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 
 
 def _resistance(values: FloatArray) -> float:
-    """Return the total resistance of a cell [ohm]: its immediate part plus its slow part.
+    """Return the total resistance of a cell [ohm], to which the voltage drop tends under load.
 
-    `values` are the logarithms of the fitted fields; the slow part is that of the relaxation.
+    The total is the ohmic resistance, whose voltage drop is immediate, plus the resistance of the
+    relaxation (RC pair), whose voltage drop builds up slowly. `values` are the logarithms of the
+    fitted fields, in the order of `FITTED`, which lists these fields.
     """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")

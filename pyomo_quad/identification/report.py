@@ -148,7 +148,15 @@ def _pack_summary(pack: PackIdentification) -> dict[str, object]:
 
 
 def pack_file(pack: PackIdentification) -> str:
-    """Return the text of a battery file with the fitted battery, each number with its source."""
+    """Return the text of a battery file with the fitted battery, each number with its source.
+
+    A battery file (TOML) holds the fields of a battery, for use in scenarios and vehicle files.
+
+    Parameters
+    ----------
+    pack : PackIdentification
+        Battery fitted to flights.
+    """
     battery = pack.scenario.battery
     deviations = {one.name: one.deviation for one in pack.parameters}
     fields = {}

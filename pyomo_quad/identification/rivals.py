@@ -125,8 +125,8 @@ def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...
     models : DataFrame
         Errors of all models, from `model_table`.
     tried : sequence of Trial
-        Extrapolations to other payloads or speeds whose errors `models` contains, in the order of
-        its columns.
+        Extrapolations to other payloads or speeds. The table `models` has one column with the
+        errors of each extrapolation, in the same order.
 
     Returns
     -------

@@ -250,7 +250,8 @@ def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planne
     airspeeds : sequence of float
         Airspeeds [m/s], n of them.
     planner : Planner
-        Keeps the compiled model between calls.
+        Planner that compiles the vehicle's model and computes the steady flight; between calls, it
+        keeps the compiled model.
 
     Returns
     -------

@@ -182,6 +182,11 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     fitted : callable
         Function that fits a model to the rows that a boolean array of shape (n_rows,) selects, and
         returns the power that the fitted model gives in every row [W].
+
+    Returns
+    -------
+    tuple of Trial
+        Errors of each test; empty if neither the payloads nor the speeds differ.
     """
 
     def trial(name: str, fitted_on: str, seen: Rows, tried_on: str, tried: Rows) -> Trial:

@@ -9,13 +9,13 @@ velocity does not enter.
 
 `drag` is an isotropic drag: with v the airspeed, the velocity of the vehicle relative to the air,
 the force is -(d_1 + d_2 abs(v)) v. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
-`drag_linear` and `drag_quadratic`. The law is valid at the few m/s of these missions. It is the
-default for a vehicle that has a drag coefficient of any kind.
+`drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. It is the default
+for a vehicle that has a drag coefficient of any kind.
 
 The second part is the same with both laws. It consists of forces along the body axes, which depend
-on the airspeed v in body axes and on the rotor speed omega. For a vehicle with rotor drag and
-parasitic drag, these usually replace d_1 and d_2, which are then zero. The coefficients k_d, k_z,
-k_h and c_i are the vehicle's fields in the first column:
+on the airspeed v in body axes and on the rotor speed omega. A vehicle with rotor drag and parasitic
+drag usually has no isotropic drag: d_1 and d_2 are then zero. The coefficients k_d, k_z, k_h and
+c_i are the vehicle's fields in the first column:
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)

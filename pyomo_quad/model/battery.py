@@ -106,8 +106,8 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     """Build a model of the battery alone that delivers a given power, `power.load` [W].
 
     The power is a parameter that does not depend on time in this model. To fit the constants of the
-    battery, the package `identification` simulates the model with the measured power of flights, a
-    value of this parameter for each time step.
+    battery, the package `identification` simulates the model in time steps. In each time step, it
+    sets this parameter to the measured power of the flights.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def build_pack(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         Model with `time` (one hour, not discretised), the mutable parameter `power.load`, the
-        expression `power.total` equal to it, and block `battery`.
+        expression `power.total` over time, which equals this parameter, and the block `battery`.
     """
     m = ConcreteModel(name="pack")
     m.time = ContinuousSet(initialize=(0.0, 1800.0, 3600.0), doc="time [s]")
@@ -142,7 +142,8 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `power` and `scaling_factor`.
+        Model that already declares the set `time`, the block `power` and the suffix
+        `scaling_factor`, which holds one over the usual magnitude of each variable.
     scenario : Scenario
         Source of the battery's numbers. If the battery has the table `relaxation` or `thermal`, the
         relaxation voltage or the temperature is declared as a further state.

@@ -1,4 +1,8 @@
-"""Functions that build the continuous-time model of a mission, or load a user's own builder."""
+"""Functions that build the continuous-time Pyomo model of a mission.
+
+A scenario may name a Python function of the user that builds the model instead. Functions of this
+module load such a function, the model builder.
+"""
 
 from collections.abc import Callable, Hashable
 from importlib.util import module_from_spec, spec_from_file_location
@@ -44,11 +48,13 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        Model with ``time`` (start, one interior point, end; not discretised), ``clock`` (the time
-        as a parameter, for equations that depend on it) and the blocks ``vehicle, rigid_body,
-        rotors, wind, aerodynamics, power, battery, limits, airspace, mission`` and, over terrain,
-        ``ground``, the integral ``energy`` and the ``objective``.
-        Suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
+        Model with the set ``time``, which is not discretised: it has the start, the times at which
+        waypoints are reached and left (without waypoints, half the duration) and the end. The
+        parameter ``clock`` is the time, for equations that depend on time. The blocks are
+        ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits, airspace,
+        mission``; over terrain, the model also has the block ``ground``. The integral ``energy`` of
+        the power over time [J] is the energy of the flight. The ``objective`` is minimised. The
+        suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
 
     Examples
     --------
