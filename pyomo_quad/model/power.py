@@ -348,10 +348,11 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: voltage times current of each motor.
 
-    The motor's torque includes dry and viscous friction, and determines current and voltage. The
-    model follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The power is
-    not convex in thrust, because viscous and dry friction make the first newton of thrust the most
-    expensive. The published friction constants seem ten times too high: hover takes 1.3 kW.
+    The motor's torque includes dry and viscous friction. The current follows from this torque, and
+    the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
+    convex in the rotor acceleration. The power is not convex in thrust, because viscous and dry
+    friction make the first newton of thrust the most expensive. The published friction
+    constants seem ten times too high: hover takes 1.3 kW.
 
     Parameters
     ----------
