@@ -178,9 +178,12 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the battery, the limits, the conditions at start and goal, and the objective.
+    """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
 
-    For the objective of a mission that minimises the charge, see docs/theory/battery.md, eq. (12).
+    They are added to the Pyomo model `m`, which already declares motion, wind and power. The
+    objective is the energy of the flight, plus the price of the duration if the duration is free.
+    If the mission minimises the charge, the objective also includes the energy lost inside the
+    pack, see docs/theory/battery.md, eq. (12). `scenario` gives the values and selects the limits.
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
@@ -207,7 +210,9 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     Parameters
     ----------
     scenario : Scenario
-        Mission with the same `structure_key` as the scenario that the model was built from.
+        Scenario whose values are returned. To re-solve a model that was built from another
+        scenario, both scenarios must have the same compiled model. This is the case if the function
+        `structure_key` returns equal keys for them.
 
     Returns
     -------
@@ -422,5 +427,9 @@ def _run(spec: str, file: Path) -> ModuleType:
 
 
 def _one_line(error: Exception) -> str:
-    """Return class and first line of an error on one line, for the message of another error."""
+    """Return the class name of an exception and the first line of its message, as one line.
+
+    `error` is the exception. The result, as "ValueError: text", is quoted in the message of a
+    `ScenarioError`.
+    """
     return ": ".join((type(error).__name__, *str(error).splitlines()[:1]))

@@ -3,18 +3,21 @@
 symbol | name | unit | meaning
 U(x, y) | above | m | height of a smooth surface that is nowhere below the ground
 L(x, y) | below | m | height of a smooth surface that is nowhere above the ground
-z - U | height_limited_below | m | lower bound of the height above the ground, which floors limit
-z - L | height_limited_above | m | upper bound of the height above the ground, which ceilings limit
+z - U | height_limited_below | m | lower bound of the height above the ground, limited by a floor
+z - L | height_limited_above | m | upper bound of the height above the ground, limited by a ceiling
+
+z is the height coordinate of the vehicle. A floor is the least permitted height above the ground, a
+ceiling the greatest.
 
 The ground of `airspace.terrain` is bilinear between the points of its grid. U and L are splines
 through values on the same grid; the module `scenario.surfaces` computes the values. Pyomo evaluates
 the splines through the class `collocation.Table`: they are twice differentiable with exact
-derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance of U
-and L from the ground is at most the attribute `excess` of the surface. A floor requires a least
-height above the ground. A flight at just this height above U is at or above the required height, by
-`excess` at most.
+derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance
+between the ground and a surface, U or L, is at most the attribute `excess` of this surface. A
+flight whose height above U just equals the floor is therefore higher above the ground than the
+floor requires, but by `excess` at most.
 
-Over flat ground both heights are z, and no block is declared.
+Over flat ground, both heights z - U and z - L equal z, and no block is declared.
 """
 
 from typing import Any
@@ -33,8 +36,11 @@ _SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited
 def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
 
-    The block `ground` gets the expressions `height_limited_below` for the floor and, if the
-    scenario has a ceiling, `height_limited_above`.
+    A floor is the least permitted height above the ground, a ceiling the greatest. The heights are
+    expressions over time [m] in the block `ground`. `height_limited_below` is the height above a
+    smooth surface that is nowhere below the ground; a floor limits this height.
+    `height_limited_above` is the height above a smooth surface that is nowhere above the ground; it
+    is declared only if the scenario has a ceiling, which limits this height.
 
     Parameters
     ----------

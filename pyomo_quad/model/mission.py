@@ -119,9 +119,11 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    They are the numbers of start and goal, of the waypoints and, if the duration is free, of the
-    duration. Each `Parameter` states name, unit and meaning, and how its value follows from a
-    scenario.
+    Each `Parameter` states name, unit and meaning of one number, and how the number follows from a
+    scenario. The parameters are position and heading at start and goal, the conditions at waypoints
+    (such as radius, greatest speed and time of hover), and limits on the motion during a hover. If
+    the mission keeps the heading, the limit on the yaw rate is a parameter, too. If the duration is
+    free, its least and greatest value and the price of time are parameters, too.
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -346,11 +348,12 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 
 
 def start_where_measured(m: ConcreteModel) -> None:
-    """Replace the start of a mission by measured states, mutable parameters of block `start`.
+    """Replace the conditions of a mission at the start by initial values of all states.
 
-    Models for replanning in flight use these parameters. Each state gets a parameter of the same
-    name, and a condition that equates the state's initial value to the parameter. The constraint
-    that keeps the heading constant is deactivated, because a gust may have turned the vehicle.
+    Models for replanning in flight use this start: each initial value is the measured value of a
+    state. Each state gets a mutable parameter of the same name in the new block `start`, and a
+    condition that equates the state's initial value to the parameter. The constraint that keeps the
+    heading constant is deactivated, because a gust may have turned the vehicle.
 
     Parameters
     ----------

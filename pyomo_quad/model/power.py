@@ -299,12 +299,13 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
     omega. Its coefficients were recovered from two public re-implementations of the paper's model.
-    Below some 780 rad/s, f_r has zeros at moderate braking torque. The polynomial is therefore
-    evaluated at a torque of at least `torque_floor`, and its value is bounded below by
-    `efficiency_floor`. Unless regeneration is enabled, braking returns nothing and the power is not
-    negative. The power is not convex in the rotor acceleration: below 858 rad/s, alternating
-    acceleration and coasting takes less energy than steady flight, so an optimum depends on the
-    bound on the acceleration and on the mesh.
+    Below some 780 rad/s, f_r has zeros at moderate braking torque. The block `power` therefore has
+    two lower limits as parameters. The polynomial is evaluated at the torque tau or at the limit
+    `torque_floor`, whichever is larger, and the power is divided by the polynomial's value or by
+    the limit `efficiency_floor`, whichever is larger. Both maxima are smooth. Unless regeneration
+    is enabled, braking returns nothing and the power is not negative. The power is not convex in
+    the rotor acceleration: below 858 rad/s, alternating acceleration and coasting takes less energy
+    than steady flight, so an optimum depends on the bound on the acceleration and on the mesh.
 
     Parameters
     ----------
@@ -345,12 +346,13 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 
 
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
-    """Declare the power model `motor_with_friction`: v i with dry and viscous friction.
+    """Declare the power model `motor_with_friction`: voltage times current of each motor.
 
-    v is the voltage and i the current of the motor, whose torque includes the friction. The model
-    follows Morbidi et al. (2016). The power is convex in the rotor acceleration. The power is not
-    convex in thrust, because viscous and dry friction make the first newton of thrust the most
-    expensive. The published friction constants seem ten times too high: hover takes 1.3 kW.
+    The motor's torque includes dry and viscous friction. The current follows from this torque, and
+    the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
+    convex in the rotor acceleration. The power is not convex in thrust, because viscous and dry
+    friction make the first newton of thrust the most expensive. The published friction
+    constants seem ten times too high: hover takes 1.3 kW.
 
     Parameters
     ----------

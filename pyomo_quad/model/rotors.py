@@ -58,15 +58,19 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def declare_motors(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the torque of each motor and, if its constants are known, its current and voltage.
+    """Declare the torque of each motor and, if the motor constants are known, current and voltage.
+
+    Torque [N m], current [A] and voltage [V] are expressions over rotors and time in block
+    `rotors`.
 
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `vehicle` and the speeds and accelerations of `rotors`,
-        to which the expressions are added.
+        Model that already declares `time`, `vehicle` and the block `rotors` with the speeds and
+        accelerations of the rotors.
     scenario : Scenario
-        Scenario whose vehicle has a table `motor` if the constants are known.
+        Scenario with the vehicle. The motor constants (torque constant, voltage constant,
+        resistance) are known if the vehicle's table `motor` is given.
     """
     b = m.rotors
 

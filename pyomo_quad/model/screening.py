@@ -1,4 +1,8 @@
-"""Checks of a declared model before compilation: contents, gaps, contradictions and units."""
+"""Checks of a Pyomo model before it is discretised, and counts of its variables and equations.
+
+The checks find missing scaling factors, controls without bounds, limits that contradict each other,
+and inconsistent units.
+"""
 
 from collections import defaultdict
 from collections.abc import Hashable, Iterator

@@ -170,8 +170,9 @@ def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
     """Return the time derivative [1/s] of the filter state xi_1, which is dimensionless.
 
-    `rate` is a = V / L [1/s], `state` is xi_1, and `noise` is white noise of unit intensity
-    [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
+    `rate` is a = V / L [1/s], where V is the speed at which the vehicle crosses the gusts, and L is
+    the length scale of the turbulence. `state` is xi_1, and `noise` is white noise of unit
+    intensity [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
     """
     return -rate * state + root(rate) * noise
 
@@ -179,21 +180,27 @@ def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
     """Return the time derivative [1/s] of the filter state xi_2, which lags xi_1.
 
-    `rate` is a = V / L [1/s]; `state` and `lag` are the dimensionless states xi_1 and xi_2.
+    `rate` is a = V / L [1/s], where V is the speed at which the vehicle crosses the gusts, and L is
+    the length scale of the turbulence. `state` and `lag` are the dimensionless states xi_1 and
+    xi_2.
     """
     return rate * (state - lag)
 
 
 def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
-    """Add Dryden turbulence and a forecast error to the wind, in block `wind.turbulence`.
+    """Add Dryden turbulence and an error of the wind forecast to the wind of a model.
+
+    The wind velocity along each world axis becomes the sum of mean wind and gust. Along the
+    horizontal axes, the error of the forecast [m/s] is added, too: a mutable parameter with the
+    initial value zero. The gusts are declared in block `wind.turbulence`.
 
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and the mean wind of `wind`, to which no
-        component refers yet: each wind component is replaced by its sum with the gust.
+        Model that already declares `time`, `rigid_body` and, in block `wind`, the mean wind. No
+        equation may refer to the wind yet, because its Pyomo expressions are replaced.
     scenario : Scenario
-        Mission with ``wind.turbulence``.
+        Scenario whose table ``wind.turbulence`` gives the intensity of the turbulence.
     """
     b = m.wind.turbulence = Block(doc="turbulence, MIL-F-8785C at low altitude")
     add_parameters(b, PARAMETERS, scenario)

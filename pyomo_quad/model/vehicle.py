@@ -52,14 +52,26 @@ _PARAMETERS = (
 def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of block `vehicle`, including the payloads released at waypoints.
 
-    Each `Parameter` states name, unit and meaning of a number, and how its value follows from a
-    scenario. They are the same for every scenario, so that the argument is not used.
+    Each `Parameter` is a declaration: it states name, unit and meaning of a number, and how the
+    value of the number follows from a scenario. The declarations are the same for every scenario,
+    so that the argument `_scenario` is not used; only the values differ.
     """
     return _PARAMETERS
 
 
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the vehicle's parameters and the releases of payloads in block `vehicle`."""
+    """Declare the vehicle's parameters and the releases of payloads in block `vehicle`.
+
+    The release of a payload at a waypoint is a parameter over time, `is_left`: 1 after the vehicle
+    has left the waypoint, and 0 before. It is declared only if a payload is released.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        Model that already declares `time`.
+    scenario : Scenario
+        Gives the values of the parameters, and the waypoints at which a payload is released.
+    """
     m.vehicle = Block(doc="numbers of the vehicle")
     declare_parameters(m.vehicle, scenario)
     loads, times = _loads(scenario), scenario.nominal_times

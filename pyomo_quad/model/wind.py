@@ -206,7 +206,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `clock`, `rigid_body` and an empty block `wind`.
+        Model that already declares `time`, `rigid_body`, an empty block `wind`, and `clock`, the
+        time in flight as a Pyomo parameter that equations can contain.
     scenario : Scenario
         Holds the wind: eq. (11)-(12), a measured time series, or a field over places.
     """
@@ -470,16 +471,17 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed measured over time, as a spline that a Pyomo model can evaluate.
 
-    The speed is the wind along one axis or, for a wind measured over time and height, a coefficient
-    of the spline over height. The cubic spline over time passes through the measured speeds. After
-    the last measurement it is constant; the transition is smoothed.
+    The speed is the wind along one axis. For a wind measured over time and height, a coefficient of
+    the spline over height takes the place of the speed. The cubic spline over time passes through
+    the speeds at the times of the measurements. After the last measurement, the speed is constant;
+    the transition is smoothed.
 
     Parameters
     ----------
     times : sequence of float
         Times of the measurements, ascending [s].
     speeds : ndarray
-        Wind speed at each of these times [m/s].
+        Wind speed, or coefficient of the spline over height, at each of these times [m/s].
     scenario : Scenario
         Gives the time in the measurement at which the flight starts, and the longest duration of
         the flight.

@@ -126,18 +126,18 @@ def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return axes and wind components of a grid, prepared for a cubic spline.
+    """Return the axes of a wind field's grid and the wind on it, prepared for a cubic spline.
 
-    Missing values get the wind of the nearest point with wind, and an axis with fewer than four
-    points is resampled at four.
+    `grid` is the grid of the field. A grid point without wind gets the wind of the nearest point
+    with wind, and an axis with fewer than four points is resampled at four points.
 
     Returns
     -------
     axes : list of ndarray
         Coordinates along each axis [m, m, m, s].
     values : ndarray, shape (n_components, *grid)
-        Wind [m/s] as in the file, before the multiplication by the scenario's `wind.field_scale`.
-        The array axes after the first are the axes of the grid.
+        Wind components [m/s]. They are not multiplied by the scenario's factor `wind.field_scale`.
+        The first array axis is the component, the other array axes are those of the grid.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
     from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
@@ -205,17 +205,18 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 def _controlled(
     scenario: Scenario,
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
-    """Return the axes of a wind field, its control points, and which of them a flight may meet.
+    """Return axes and control points of a wind field, and which control points a flight may meet.
 
-    In each cell of the grid the wind is a polynomial, and lies in the convex hull of its control
-    points (Bernstein coefficients).
+    In each cell of the grid the wind is a polynomial, and lies in the convex hull of the control
+    points (Bernstein coefficients) of this polynomial. `scenario` is a scenario with a wind field.
 
     Returns
     -------
     axes : list of ndarray
         Coordinates of the grid points along each axis [m, m, m, s].
     points : ndarray, shape (n_components, *counts)
-        Control points [m/s], four for each cell along each axis.
+        Control points [m/s]. The first array axis is the wind component. `counts` are the numbers
+        of control points along the axes of the grid: four times the number of cells.
     is_open : ndarray of bool, shape counts
         Whether a flight may enter the cell to which a control point belongs.
     """

@@ -82,7 +82,11 @@ _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
 
 
 def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
-    """List the figures that are counterparts of figures 1 to 7 of Yacef et al."""
+    """Return the report's figures that are counterparts of figures 1 to 7 of Yacef et al.
+
+    `study` has the results that the figures show. Each `Drawing` of the result has name, title and
+    caption of a figure, and the function that draws the figure.
+    """
     return (
         *_power(study),
         *_motion(study, Experiment.CALM),
@@ -92,9 +96,11 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 
 def floor_drawing(study: PaperStudy) -> Drawing:
-    """Return the figure of the least energy of any flight under the efficiency f_r.
+    """Return the figure of the least energy of any flight against the rotor acceleration's bound.
 
-    f_r is the efficiency of motor and rotor of Yacef et al.
+    The energy is computed with f_r, the efficiency of motor and rotor of Yacef et al. The bound is
+    an upper bound on the absolute rotor acceleration. `study` has the results that the figure
+    shows. The `Drawing` has name, title and caption of the figure, and the function that draws it.
     """
     return Drawing(
         name="floors",

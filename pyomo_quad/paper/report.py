@@ -106,8 +106,10 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 def _equations() -> Iterator[dict[str, Any]]:
     """Yield the model's equations for the flight in wind, typeset in groups for the report.
 
-    Each group belongs to one variant of the model (power model, effect of the wind). It holds only
-    the equations that no earlier group contains.
+    Each group belongs to one variant of the model (power model, effect of the wind). A group
+    contains only equations that no earlier group contains. Each dict describes one group: `title`
+    is a heading or None, `power` a power model or None, and `equations` the list of
+    `TypesetEquation` (equations as LaTeX).
     """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
@@ -178,9 +180,11 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
 
-    They are energies of `experiment`: of hovering, of simulated flights under the adaptive
-    controller, and with all rotors at full speed. Further numbers are the mean power that the
-    printed energy implies, and the greatest power of the batteries. `study` has all results.
+    The result maps names of numbers to their values, for the report's template. The numbers are
+    the printed energy and saving, and energies of `experiment` [J]: of hovering, of two simulated
+    flights under the adaptive controller, and with all rotors at full speed. Further numbers are
+    the mean power that the printed energy implies, and the greatest power that one of the study's
+    batteries can supply [W]. `study` has the results of the study.
     """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
@@ -205,11 +209,14 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return the energy that the optimal flight of an experiment saves, for the report.
 
-    The energy of the optimal flight is compared with that of a flight under the adaptive controller
-    along a smooth reference trajectory. This is done under two power models. The result holds the
-    table row of the comparison under the first model, the motors' electrical power. Of the second
-    model, which uses f_r, the efficiency of motor and rotor of Yacef et al., it holds the saving
-    only [percent]. `study` has the results of the study.
+    The energy of the optimal flight is compared with the energy of a flight under the adaptive
+    controller along a smooth reference trajectory. The comparison is made under two power models:
+    the motors' electrical power, and a model with f_r, the efficiency of motor and rotor of Yacef
+    et al. `study` has the results of the study, and `experiment` selects the experiment.
+
+    The result holds the table row (value by column name) of the comparison under the motors'
+    electrical power. Its further item `by_efficiency_percent` is the saving under the model with
+    f_r [percent].
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))
