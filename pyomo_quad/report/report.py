@@ -318,7 +318,7 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
     The result is None if the power may depend on the airspeed, because such a power accounts for
     the energy of a climb: this holds for the package's power model `momentum` and, possibly, for a
     user's own Pyomo model. The result is also None if the mission releases parcels on the way,
-    because the parcels do not climb to the goal, and if the plan was not verified.
+    because the parcels do not climb to the goal, and if the plan was not verified by simulation.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
