@@ -3,7 +3,8 @@
 Methods such as `Plan.plot` need the package `pyomo_quad.report`, which imports matplotlib. Modules
 that define plans and runs must not import `pyomo_quad.report`, because a lower package must not
 import a higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports
-the report package, and a plan or run calls `presenter()` when it is drawn or reported.
+the module `pyomo_quad.report.presenting`. When a plan or run is drawn or reported, it calls
+`presenter()`, which returns this module.
 """
 
 from collections.abc import Callable

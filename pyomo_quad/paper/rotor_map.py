@@ -253,7 +253,8 @@ class EfficiencyMap:
 def sample_efficiency_map() -> EfficiencyMap:
     """Sample the efficiency f_r of Yacef et al. over rotor speed and torque, for a figure.
 
-    Their paper does not print f_r; the polynomial was recovered from public re-implementations.
+    f_r is the efficiency of motor and rotor, a polynomial of rotor speed and torque. Their paper
+    does not print this polynomial; it was recovered from public re-implementations.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)

@@ -48,7 +48,8 @@ class PackFacts:
     power_model : PowerModel
         Power model with which the power of hovering is computed.
     stored_energy_J : float
-        Energy without load, from full to 1 % of the charge.
+        Energy that the battery stores: the integral of the open-circuit voltage over the charge,
+        from full to 1 % of the charge.
     hover_energy_J, hover_power_W : float
         Energy of hovering for the duration of the mission, and power of hovering.
     greatest_power_W : float
@@ -69,10 +70,16 @@ class PackFacts:
 
 
 def pack_facts() -> tuple[PackFacts, ...]:
-    """Compute energy and power of each battery, and compare them with hovering.
+    """Compute energy and power of three battery packs, and compare them with hovering.
 
-    Hovering is computed with the motors' electrical power and with the efficiency f_r of Yacef et
-    al.
+    The packs are the single cell that Yacef et al. print, this cell in series, and the battery of
+    the vehicle's maker. Each pack is compared twice: the power of hovering is computed once from
+    the motors' electrical power, and once with the efficiency f_r of Yacef et al.
+
+    Returns
+    -------
+    tuple of PackFacts
+        One entry for each power model and pack.
     """
     planner = Planner()
     cases = product((PowerModel.MOTOR, PowerModel.EFFICIENCY), _PACKS)
@@ -108,27 +115,33 @@ WORKERS = 2
 class PaperStudy:
     """All results of the study that reproduces the experiments of Yacef et al.
 
-    f_r is the efficiency of motor and rotor in their paper.
+    The experiments are a flight in calm air and a flight in wind. f_r is the efficiency of motor
+    and rotor in their paper.
 
     Attributes
     ----------
-    flights, wind_flights, battery_flights : tuple of PaperFlight
-        Optimal flights: both experiments (calm air, wind) under every power model; the flight in
-        wind with every interpretation of the wind; the flight in calm air with two batteries.
+    flights : tuple of PaperFlight
+        Optimal flights of both experiments, one for each power model.
+    wind_flights : tuple of PaperFlight
+        Optimal flights in wind, one for each interpretation of the wind that the paper permits.
+    battery_flights : tuple of PaperFlight
+        Optimal flights in calm air, one for each of two batteries.
     baselines : tuple of BaselineFlight
-        Flights under the adaptive controller.
+        Flights of both experiments under the adaptive controller.
     packs : tuple of PackFacts
-        Energy and power of the batteries.
+        Energy and power of the batteries, compared with hovering.
     floors : dict
-        For each interpretation of f_r, an array with two columns: an upper bound on the absolute
-        rotor acceleration [rad/s²], and the least energy [J] of any flight within this bound.
+        For each interpretation of f_r (limited from below, or the bare polynomial), an array with
+        two columns: an upper bound on the absolute rotor acceleration [rad/s²], and the least
+        energy [J] of any flight within this bound.
     critical_acceleration, critical_speed : float
         Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
         speed at which this happens [rad/s].
     efficiency_map : EfficiencyMap
         f_r over rotor speed and torque.
     trials : tuple of TrialOutcome
-        Solves on fixed meshes.
+        Results of solves under f_r on fixed meshes, with different bounds on the rotor
+        acceleration.
     seconds : dict
         Wall time of each result [s], by name.
     """

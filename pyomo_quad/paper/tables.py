@@ -49,7 +49,11 @@ def implied_wind_optimum() -> float:
 
 
 def paper_parameters() -> pd.DataFrame:
-    """Return a table of the parameters that Yacef et al. print, and of the values that are used."""
+    """Return a table of the parameters that Yacef et al. print, and of the package's own values.
+
+    Each row has a value as the paper prints it, and the value that the scenario of the experiment
+    in wind uses for the same parameter.
+    """
     table = pd.read_csv(Path(__file__).with_name("printed.csv"), converters={"printed": float})
     scenario = paper_scenario(Experiment.WIND, {"battery.use": PAPER_CELL})
     used = {field.path: field.value for field in describe_fields(scenario)}
@@ -123,7 +127,10 @@ def kilojoules(energy: float, digits: int = 3) -> str:
 
 
 def metres(distance: float) -> str:
-    """Format a distance from the goal [m] as the text of its value in m."""
+    """Format a distance from the goal [m] as text in m.
+
+    Distances of 0.01 m or more have two decimals, smaller distances two significant digits.
+    """
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
 
@@ -140,7 +147,11 @@ TABLES = {
 
 
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
-    """Return every table of the report on Yacef et al. by its name, a key of `TABLES`."""
+    """Return every table of the report on Yacef et al., by the name of its file without suffix.
+
+    `study` holds the results of the study. The dictionary `TABLES` describes the content of the
+    table of each name in words.
+    """
     rows = {
         "experiments": map(_experiment_row, study.flights),
         "wind": map(_wind_row, study.wind_flights),

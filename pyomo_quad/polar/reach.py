@@ -265,11 +265,11 @@ def _boundary_on(
     is_known: NDArray[np.bool_],
     start: FloatArray,
 ) -> dict[str, Any]:
-    """Return how far the vehicle flies on one course, as a row of `Reach.boundary`.
+    """Return how far the vehicle flies on one course from the start.
 
-    The flight over the resulting distance, with the way back if `share` includes it,
-    takes the usable charge: the charge from the full battery to the least state of charge that the
-    scenario allows. The distance is shorter if wind or ground are not known so far from the start.
+    The flight over the resulting distance takes the usable charge: the charge from the full battery
+    to the least state of charge that the scenario allows. If `share` includes the way back, so does
+    this flight. The distance is shorter if wind or ground are not known so far from the start.
 
     Parameters
     ----------
@@ -287,6 +287,12 @@ def _boundary_on(
         Whether wind and ground are known at each distance.
     start : ndarray, shape (3,)
         Position of the start [m].
+
+    Returns
+    -------
+    dict
+        Row of the table `Reach.boundary`: course [deg], distance [m], x and y of the place at this
+        distance [m], and whether the distance is shorter because wind or ground are not known.
     """
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])

@@ -26,14 +26,15 @@ def write_campaign(
 ) -> dict[str, Any]:
     """Write the report of a campaign: table (CSV), `summary.json`, figure and text.
 
-    A campaign repeats missions on one battery charge until no further flight is possible.
+    A campaign repeats missions on each of one or more battery charges, until no further flight is
+    possible on the charge.
 
     Parameters
     ----------
     folder : Path
         Existing empty folder that receives the files.
     campaign : Campaign
-        Flights on one or more battery charges.
+        The flights on each battery charge.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
 

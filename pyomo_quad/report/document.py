@@ -90,9 +90,10 @@ def write_study(
     template : str
         Template of the text, as a path below the package's folder. In addition to ``values`` the
         template receives ``tables`` (names of the table files), ``drawings`` (the requested
-        figures) and ``version``.
+        figures) and ``version`` (version of this package).
     tables : mapping of str to DataFrame or mapping, optional
-        Tables to write as CSV, by file name.
+        Tables to write as CSV, by file name. Each table is a DataFrame, or a mapping from the name
+        of a column to its values.
     summary : mapping, optional
         Content of `summary.json`; without it no such file is written.
     drawings : iterable of Drawing, optional
@@ -100,7 +101,7 @@ def write_study(
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     name : str, optional
-        File name of the text.
+        File name of the text; by default `report.md`.
     **values
         Variables of the template.
 

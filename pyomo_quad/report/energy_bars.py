@@ -34,8 +34,8 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 
     The left panel shows the total energy of each flight and, in grey, the energy of hovering for
     the same time. The right panel shows the energy above hovering (energy of the flight less energy
-    of hovering) on a larger scale. If the durations of the flights differ, it shows the difference
-    from the first flight's energy instead.
+    of hovering) on a larger scale. If the durations of the flights differ, the right panel instead
+    shows the energy of each flight less the energy of the first flight.
 
     Parameters
     ----------

@@ -86,7 +86,8 @@ def draw_adaptation(study: pd.DataFrame) -> Figure:
     Parameters
     ----------
     study : DataFrame
-        Table over time from `adaptation_study`.
+        Table over time of two simulated flights, with and without adaptation. The function
+        `adaptation_study` simulates these flights and returns the table.
     """
     figure, (panels,) = panel_grid(1, 3, panel_height=1.8, legend_entries=2)
     error, *disturbances = panels
@@ -118,7 +119,8 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    If all flights have these columns, relaxation voltage and temperature are drawn too.
+    Relaxation voltage (the slow part of the voltage drop) and temperature of the battery are each
+    drawn too, if the tables of all flights have the column.
 
     Parameters
     ----------
@@ -191,12 +193,16 @@ COSTATES = (
 
 
 def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
-    """Draw the costates (adjoint variables) of a plan in five groups, and its Hamiltonian.
+    """Draw the costates (adjoint variables) of a plan, and its Hamiltonian, in six panels.
+
+    Five panels show the costates of position, velocity, attitude, body rates and rotor speeds. The
+    sixth panel shows the Hamiltonian.
 
     Parameters
     ----------
     costates : DataFrame
-        The columns of `COSTATES`, indexed by time in s.
+        Costate of each state and Hamiltonian of the plan, indexed by time in s. The tuple
+        `COSTATES` lists the names of the columns that are needed.
     duration : float
         Duration of the flight in s, where the time axes end.
     """
@@ -230,6 +236,9 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw power, energy, and energy above hovering of flights over time, in three panels.
+
+    The energy above hovering at a time is the energy that the flight has used until then, less the
+    energy of hovering for the same time.
 
     Parameters
     ----------
@@ -523,7 +532,10 @@ def draw_front(front: pd.DataFrame) -> Figure:
 
 
 def draw_rotors(flight: StyledFlight) -> Figure:
-    """Draw speed, torque, current and voltage of a flight's four motors, one panel for each.
+    """Draw speed, torque, current and voltage of a flight's motors over time.
+
+    There is one panel for each of these four quantities; each panel has a curve for each of the
+    four motors.
 
     Parameters
     ----------

@@ -45,8 +45,8 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the folder cannot be written, the disk is full, another run is writing the folder, or it
-        holds files that this package did not write.
+        If the folder cannot be written, the disk is full, another run is writing the folder, or the
+        final folder holds files that this package did not write.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -157,9 +157,10 @@ def _is_marked(file: Path, mark: str) -> bool:
 
 
 def refuse_output_folder(path: str | Path) -> None:
-    """Check, without writing, that `output_folder` would accept a folder.
+    """Raise an error, without writing anything, if a folder cannot be used for an output.
 
-    A command calls the function before a long solve, so that a wrong folder is reported early.
+    The context manager `output_folder`, which writes the output later, refuses such a folder too. A
+    command calls this function before a long solve, so that a wrong folder is reported early.
 
     Parameters
     ----------

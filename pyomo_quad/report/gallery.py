@@ -87,9 +87,9 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    A figure is left out if the table of the plan lacks the columns of the figure, because a user's
-    Pyomo model has no such variables, or if a failed solve has no finite values for them. The
-    figure of the wind is left out in calm air.
+    A figure is left out if the plan's table lacks a column that the figure shows: the Pyomo model
+    of a user may have no such variable. A figure is also left out if the column has values that are
+    not finite, as after a failed solve. The figure of the wind is left out in calm air.
 
     Parameters
     ----------
@@ -173,8 +173,8 @@ def comparison_drawings(
 
     The map and the power over time show the plan and its rival, the flight against which the
     printed energy saving is computed. The energy bars show the plan and the flights that arrived
-    and kept all limits, because only their energies can be compared. A model without positions has
-    no such figures.
+    and kept all limits, because only their energies can be compared. The result is empty if the
+    plan's table has no positions, because it is the plan of a user's Pyomo model without positions.
 
     Parameters
     ----------
@@ -235,7 +235,8 @@ def adaptation_drawing(study: pd.DataFrame) -> Drawing:
     Parameters
     ----------
     study : DataFrame
-        Table of simulated flights with and without adaptation, from `adaptation_study`.
+        Table over time of two simulated flights, with and without adaptation. The function
+        `adaptation_study` simulates these flights and returns the table.
     """
     caption = (
         "The adaptive controller does not know the wind. Left: distance of the vehicle from the "

@@ -76,7 +76,7 @@ def _label(inline: Token) -> str:
 
 
 def _role(tokens: Sequence[Token], at: int) -> str:
-    """Return the function of a Markdown paragraph in the HTML report.
+    """Return what a Markdown paragraph becomes in the HTML report: image, caption or plain text.
 
     `tokens` are the markdown-it tokens of the report; `at` is the index of the token that opens the
     paragraph.

@@ -198,9 +198,10 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
-    The arrows show the first height and the first time of the field. On a fine grid, only every
-    second, third, ... grid point has an arrow. The velocities of `grid` are multiplied by `scale`,
-    the factor by which the scenario scales its wind field.
+    `axes` is the panel, a map of flight paths from above. `grid` is the wind field. Its velocities
+    are multiplied by `scale`, the factor by which the scenario scales its wind field. The arrows
+    show the first height and the first time of the field. On a fine grid, only every second, third,
+    ... grid point has an arrow. Nothing is drawn in calm air.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -381,8 +382,9 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
     Returns
     -------
     list of Label
-        Labels for `write_labels`: first the labels of waypoints, then, in the view from above, the
-        names of zones.
+        Labels that are not drawn yet; the caller passes them to `write_labels`, which places them
+        in the panel. First come the labels of waypoints, then, in the view from above, the names
+        of zones.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)

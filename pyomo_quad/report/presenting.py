@@ -94,7 +94,7 @@ def refuse_other_endings(file: Path, name: str) -> None:
     Raises
     ------
     ScenarioError
-        If the ending is not one of `ENDINGS`.
+        If the file name has another ending.
     """
     if file.suffix not in ENDINGS:
         raise ScenarioError(f"{name} {file}: must end in {', '.join(ENDINGS)}.")

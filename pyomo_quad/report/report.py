@@ -315,9 +315,10 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
     Energy above hovering is the energy of the plan less the energy of hovering for the same time.
-    The result is None for power models that depend on the airspeed and so account for the energy of
-    a climb: these are `momentum` and, possibly, a user's model. It is also None if the mission
-    releases parcels on the way, because the parcels do not climb to the goal.
+    The result is None if the power may depend on the airspeed, because such a power accounts for
+    the energy of a climb: this holds for the package's power model `momentum` and, possibly, for a
+    user's own Pyomo model. The result is also None if the mission releases parcels on the way,
+    because the parcels do not climb to the goal, and if the plan was not verified by simulation.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
