@@ -467,7 +467,9 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 def _is_good(result: "RunResult") -> bool:
     """Return whether a run succeeded, so that its report shows the main result in green.
 
-    The plan must be verified; if it was made for a wind forecast, all flights must arrive.
+    A run succeeds if simulation confirmed the plan to the requested accuracy. If the plan was made
+    for a wind forecast, every flight of the run (`result.comparison` has a row for each flight)
+    must also have reached the goal.
     """
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
@@ -477,7 +479,9 @@ def _is_good(result: "RunResult") -> bool:
 def prepare_figures(figures: Figures) -> None:
     """Import matplotlib and the module of figures before use, unless no figures are wanted.
 
-    A command calls this function while other processes compute, which saves time afterwards.
+    A command calls this function while other processes compute, so that the import does not delay
+    the report. `figures` is the requested file format of the figures, or `Figures.NONE` for a
+    report without figures; then nothing is imported.
     """
     if figures is not Figures.NONE:
         _gallery()
@@ -495,14 +499,15 @@ def _gallery() -> ModuleType:
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield the figures that a function of the module `gallery` lists.
+    """Yield the figures of a report, which the argument `listed` obtains from the module `gallery`.
 
-    The module is imported when the first figure is requested, so that a report without figures does
-    not import matplotlib.
+    The module `gallery` is imported when the first figure is requested, so that a report without
+    figures does not import matplotlib.
 
     Parameters
     ----------
     listed : callable
-        Receives the module `gallery` and returns the figures.
+        Function that receives the module `gallery`, calls one of the module's functions and
+        returns the resulting figures.
     """
     yield from listed(_gallery())

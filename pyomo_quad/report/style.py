@@ -147,10 +147,11 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Return the line style of each flight; a name has the same style in all reports.
+    """Return the line style of each flight, determined by the name of the flight.
 
-    Flights with other names than the program gives, such as names that a caller chooses, get the
-    remaining styles in turn.
+    Each name that the program itself gives to a flight, such as the name of the plan or of a
+    baseline flight, has the same style in all reports. Flights whose names a caller has chosen get
+    the remaining styles in turn.
 
     Parameters
     ----------
@@ -195,8 +196,9 @@ def save_figure(
 def _drawn(draw: Callable[[], Figure]) -> Figure:
     """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
 
-    Axes without a label get a constant position of the label. Otherwise matplotlib computes
-    positions for the empty labels, which takes a tenth of the drawing time.
+    For each axis without a text label, the position of the empty label is set to a constant.
+    Otherwise matplotlib would compute a position for the empty label; these computations take a
+    tenth of the drawing time.
     """
     figure = draw()
     for axes in figure.axes:
@@ -485,7 +487,11 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 
 
 def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
-    """Return whether flights have equal durations, so that one hover energy applies to all."""
+    """Return whether flights have equal durations, apart from rounding errors.
+
+    Figures compare the energy of a flight with the energy of hovering for the same duration. A
+    single value of this hover energy applies to all flights only if their durations are equal.
+    """
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 

@@ -89,7 +89,8 @@ def flight_summary(
     arrived : bool
         Whether the flight reached the goal.
     wall_s : mapping
-        Wall time [s] of each phase of the program except the flight itself.
+        Wall time [s] of each phase of the program, such as import, by name. The wall time of
+        the flight's simulation is added from `flight`.
     """
     return {
         "scenario": scenario.name,
@@ -361,8 +362,9 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
     Returns
     -------
     DataFrame or None
-        One row for each price of time, with the columns of `FrontColumn`; None if the report has no
-        front.
+        One row for each price of time. The columns are the members of the enumeration
+        `FrontColumn`: price of time [W], duration [s], energy [J], and whether the point is the
+        plan of the report. None if the report has no front.
 
     Raises
     ------

@@ -338,14 +338,15 @@ def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     """Return a number's allowed range in words, with the reason for the plausible range.
 
-    The allowed range is the overlap of the field's plausible range and of its strict limits.
+    The allowed range is the overlap of two ranges: the field's plausible range, and the minimum and
+    maximum in the JSON Schema of the number.
 
     Parameters
     ----------
     sound : mapping
-        Plausible range: `low`, `high` and the reason `because`; see `fields.Sound`.
+        Plausible range, with the keys `low`, `high` and `because` (the reason for the range).
     option : mapping
-        JSON Schema of the number, or of a list of numbers, with the strict limits.
+        JSON Schema of the number, or of a list of numbers.
     """
     number = option.get("items", option)
     low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))

@@ -285,14 +285,16 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the value that a scenario gets if its file leaves a field out; see `quantity`.
+    """Return the initial value of a field: what a scenario gets if its file leaves the field out.
 
-    None if this value is the field's default, as for most fields.
+    The result is None if no initial value is declared, as for most fields; then the scenario gets
+    the field's default. The function `quantity` declares a field, with its default and initial
+    value.
 
     Parameters
     ----------
     model : type of BaseModel
-        Model of the table.
+        Model of the table that has the field.
     name : str
         Name of the field.
     """
@@ -452,7 +454,13 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     lower, upper : mapping
-        Nested tables. If both have a value for a key, the result has the value in `upper`.
+        Nested tables. If both have a table for the same key, these two tables are merged in turn.
+        If both have any other value for the same key, the result has the value in `upper`.
+
+    Returns
+    -------
+    dict
+        The merged table, a new object.
     """
     merged = dict(lower)
     for key, value in upper.items():

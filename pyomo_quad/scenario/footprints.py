@@ -179,13 +179,14 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     Returns
     -------
     list of dict
-        A table `airspace.keep_out`, as in a scenario file, for each convex part.
+        A table `airspace.keep_out`, as in a scenario file, for each keep-out zone. A concave
+        polygon is divided into convex parts, and each part becomes a zone.
 
     Raises
     ------
     ScenarioError
         If the file cannot be read, the mission has no origin, or a feature is not a polygon with a
-        height; one line.
+        height. The message of the error is a single line.
     """
     features = _features(file, place)
     if origin is None:

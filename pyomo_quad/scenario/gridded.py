@@ -124,7 +124,8 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
     Raises
     ------
     ScenarioError
-        If the file cannot be read or is not a rectilinear grid; one line.
+        If the file cannot be read or its data are not on a rectilinear grid. The message of the
+        error is a single line.
     """
     suffix = file.suffix.lower()
     try:
@@ -331,8 +332,9 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
     """Raise an error if a table's columns are not those of a given quantity on a grid.
 
-    Columns for x and y and for the required components of the quantity must be present; further
-    axes and components of the quantity may be. Unknown or repeated columns are an error.
+    Columns for x and y and for the required components of the quantity must be present. Columns for
+    the other axes and the other components of the quantity are optional. Unknown or repeated
+    columns are an error.
 
     Parameters
     ----------
@@ -341,7 +343,7 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
     place : str
         Beginning of the error message: the scenario field that names the file.
     quantity : Quantity
-        Column names of the quantity, such as wind or height of the ground.
+        Axes and column names of the quantity, such as wind or height of the ground.
     """
     here, beside = list(_AXIS_COLUMNS.values())[:2], quantity.columns[quantity.needed :]
     known = (*(_AXIS_COLUMNS[axis] for axis in quantity.axes), *quantity.columns)

@@ -51,7 +51,8 @@ def load_scenario(
     Raises
     ------
     ScenarioError
-        If the file cannot be read or fields are invalid; one line for each, which names the field.
+        If the file cannot be read or fields are invalid. The message has one line for each invalid
+        field, and each line names the field.
     FeasibilityError
         If the rotors cannot lift the vehicle.
 

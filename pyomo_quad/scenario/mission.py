@@ -145,12 +145,12 @@ class ReturnFlight(Part):
 
 
 class NamedDuration(NamedTuple):
-    """Duration, and the scenario field that prescribes it, which error messages name.
+    """Duration, and the scenario field that prescribes the duration.
 
     Attributes
     ----------
     field : str
-        Dotted path of the scenario field.
+        Dotted path of the scenario field, for use in error messages.
     value : float
         Duration [s].
     """
@@ -312,7 +312,10 @@ class Mission(Part):
 
     @property
     def fixed_duration(self) -> float:
-        """Prescribed duration [s]. The method `Scenario.lasting` fixes a free duration.
+        """Prescribed duration [s] of a mission whose duration is not free.
+
+        For a mission with free duration, first make a copy of the scenario with a fixed duration,
+        by the method `Scenario.lasting`.
 
         Raises
         ------

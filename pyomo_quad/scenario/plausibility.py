@@ -2,13 +2,15 @@
 
 symbol | meaning
 k_t, k_v | torque constant [N m/A] and voltage constant [rad/s/V]
-tau, omega | torque and speed of one rotor in hover
-P_i | ideal power of hover, T^(3/2) / sqrt(2 rho A), the least for a disc area A
+tau, omega | torque [N m] and speed [rad/s] of one rotor in hover
+T, A | thrust [N] and disc area [m²] of this rotor
+rho | air density [kg/m³]
+P_i | ideal power of hover [W], T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
 A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers with
-less power than P_i (momentum theory). No moment of inertia of a body exceeds the sum of the body's
-other two moments: the moment about x, for example, is the integral of y² + z², and the integrals of
-x² + z² and x² + y² sum to at least as much.
+less shaft power tau omega than P_i (momentum theory). No moment of inertia of a body exceeds the
+sum of the body's other two moments: the moment about x, for example, is the integral of y² + z²,
+and the integrals of x² + z² and x² + y² sum to at least as much.
 """
 
 from collections.abc import Iterator

@@ -517,11 +517,12 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return nested tables of the initial values of fields; see `fields.quantity`.
+    """Return the initial values of a scenario's fields, as nested tables.
 
-    A few fields have an initial value in addition to their default. A scenario gets the initial
-    value if its file leaves the field out. A record (a complete scenario that was stored earlier,
-    for example in a report) gets the field's default instead.
+    A few fields have an initial value in addition to their default; the result holds these fields
+    only. A scenario gets the initial value if its file leaves the field out. A record (a complete
+    scenario that was stored earlier, for example in a report) gets the field's default instead.
+    `model` is the model class of the scenario.
     """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
