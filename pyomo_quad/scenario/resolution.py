@@ -617,7 +617,7 @@ class _Filled:
         place : tuple of str
             Path of the table.
         kind : str
-            ``vehicles``, ``batteries`` or ``winds``.
+            Kind of the library entry: ``vehicles``, ``batteries`` or ``winds``.
         """
         use = (*place, "use")
         if self.origin.is_resolved and use not in self.origin.assignments:
@@ -669,7 +669,11 @@ class _Filled:
         self.provenance.update(said | self.provenance)
 
     def put(self, path: FieldPath, value: object, said: str = "") -> None:
-        """Set the value at a path; `said` is recorded as the value's origin unless it is empty."""
+        """Set the value of a scenario field, and record the origin of the value.
+
+        `path` is the path of the field, `value` the new value, and `said` the origin in words. If
+        `said` is empty, no origin is recorded.
+        """
         self.tables = set_value(self.tables, path, value)
         if said:
             self.provenance[spell(path)] = said
@@ -704,7 +708,12 @@ class _Filled:
         return origin_of_mission(self.tables, self.origin.source)
 
     def add_footprints(self) -> None:
-        """Add keep-out zones from a GeoJSON file, and divide concave polygons into convex parts."""
+        """Complete the keep-out zones of the table `airspace`.
+
+        The zones in the GeoJSON file that the scenario names by `airspace.file` are added to the
+        zones of the scenario. Then every zone whose polygon is concave is divided into convex
+        parts. If the scenario is a stored, complete scenario, the file is not read again.
+        """
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
             return
@@ -740,18 +749,19 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
-        """Return whether a record (a stored scenario) contains the content of a data file.
+        """Return whether the scenario is a stored one that contains the content of a data file.
 
-        The file is then not read again, because its name is relative to the folder of the scenario
-        file, which the record does not state. If an override changes the file's name or content,
-        the result is False.
+        A stored scenario is complete: it contains the content of each data file that was read. Such
+        a data file is not read again, because its name is relative to the folder of the original
+        scenario file, and the stored scenario does not state this folder. If an override changes
+        the data file's name or content, the result is False.
 
         Parameters
         ----------
         place : tuple of str
-            Path of the table that names the file.
+            Path of the table that names the data file.
         named, content : str
-            Fields of this table for the file's name and for the file's content.
+            Fields of this table for the data file's name and for the data file's content.
         """
         fields = (*place, named), (*place, content)
         is_overridden = any(
@@ -782,7 +792,11 @@ class _Filled:
                 yield place, wind
 
     def add_wind_fields(self) -> None:
-        """Add the wind fields (wind over places) from the files that `wind.field` names."""
+        """Add the wind fields (wind over places) that are read from data files.
+
+        `wind.field` names the file of the actual wind, and `wind.forecast.field` the file of the
+        forecast. Each may be missing.
+        """
         for place, wind in self.winds("field"):
             if self.is_recorded(place, "field", "grid"):
                 continue
@@ -794,10 +808,12 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured wind over time from the files that `wind.file` names.
+        """Add the measured winds over time that are read from data files.
 
-        If the mission's duration is free and has no upper limit, the limit is set to the time at
-        which the measured wind ends.
+        `wind.file` names the file of the actual wind, and `wind.forecast.file` the file of the
+        forecast. Each may be missing. If the mission's duration is free and has no upper limit, the
+        upper limit is set to the time at which the measured wind ends, counted from the start of
+        the mission. If there are two measured winds, the one that ends first counts.
         """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []

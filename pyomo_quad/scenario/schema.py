@@ -525,8 +525,9 @@ class Scenario(Part):
 def _meaning(name: str) -> str:
     """Return the meaning of a vehicle's field in a few words, for error messages.
 
-    The result is the description of the field `name`: the text after its last colon, if it has
-    one, and up to the next comma.
+    `name` is the name of the field. The result is a part of the field's description: the part
+    begins after the last colon of the description (at its start if it has no colon), and ends
+    before the first comma that follows.
     """
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]

@@ -496,8 +496,8 @@ def derived_limits(vehicle: Vehicle, rotor_speed_max: float) -> dict[str, float]
     Returns
     -------
     dict
-        Values of `thrust_max` [N] and of the three moment limits [N m], after eq. (10) and (7) of
-        Yacef et al.
+        Each limit by the name of its field: `thrust_max` [N], and `roll_moment_max`,
+        `pitch_moment_max` and `yaw_moment_max` [N m], after eq. (10) and (7) of Yacef et al.
     """
     rotor_thrust = vehicle.thrust_coefficient * rotor_speed_max**2
     rotor_drag_torque = vehicle.drag_torque_coefficient * rotor_speed_max**2

@@ -47,7 +47,8 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     Parameters
     ----------
     file : Path
-        NetCDF with names and units of the CF conventions, or a table with one row for each place.
+        NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
+        for each place.
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin, optional
@@ -57,7 +58,8 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     Returns
     -------
     dict
-        The fields of a `TerrainGrid`, in metres from the origin.
+        Fields of the scenario's table `airspace.ground`: the grid points `x` and `y` in metres from
+        the origin, and the `heights` in metres above z = 0, packed into a text.
 
     Raises
     ------

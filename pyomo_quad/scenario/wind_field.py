@@ -47,8 +47,8 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Parameters
     ----------
     file : Path
-        NetCDF with names and units of the CF conventions, or a table with one row for each place
-        and time.
+        NetCDF with names and units of the CF conventions, or a CSV or Parquet table with one row
+        for each place and time.
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin, optional
@@ -57,7 +57,9 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Returns
     -------
     dict
-        The fields of a `WindGrid`, in metres from the origin and seconds.
+        Fields of the scenario's table `wind.grid`: the grid points along each axis (`x`, `y` and,
+        if the file has them, `z` and `times`), in metres from the origin and in seconds, and the
+        wind velocities `speeds` at the grid points [m/s], packed into a text.
 
     Raises
     ------

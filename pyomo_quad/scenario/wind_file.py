@@ -35,13 +35,14 @@ def read_wind_file(
     Parameters
     ----------
     file : Path
-        CSV file with the columns `WIND_COLUMNS` (time and wind velocities). A column
-        `HEIGHT_COLUMN` (height) may follow the time column or replace it. If the file has times and
-        heights, the heights must be the same at every time.
+        CSV file with the columns `time_s`, `wind_x_m_per_s` and `wind_y_m_per_s`. A column
+        `height_m` may follow the time column or replace it. If the file has times and heights, the
+        heights must be the same at every time.
     where : str
         Beginning of error messages: the scenario field that names the file.
     longest : tuple of str and object
-        Path of the field that sets the mission's duration or its upper limit, and its value [s].
+        Dotted path of the scenario field that sets the mission's duration, or the upper limit on a
+        free duration; and the value of this field [s].
     time_offset : object
         Time in the file [s] at which the mission starts. A value that is not a number, here or in
         `longest`, is refused later by the validation of the scenario.

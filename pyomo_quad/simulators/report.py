@@ -29,7 +29,20 @@ def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw the distance of simulated flights from their plan over time.
 
     RotorPy's model differs from the package's own model in several features. Each line is a flight
-    with one of these differences alone, so that the effect of each difference can be seen.
+    in RotorPy. Most lines have one of these differences alone, so that the effect of each
+    difference can be seen; for comparison, one line has none of them, and one has RotorPy's own
+    defaults. The first panel has flights without feedback, the second panel flights under the
+    adaptive controller.
+
+    Parameters
+    ----------
+    study : OutsideStudy
+        Results of the flights.
+
+    Returns
+    -------
+    Figure
+        The drawing.
     """
     lines = ceil(len(CAUSES) / _CAUSES_ABREAST)
     figure, (panels,) = panel_grid(1, 2, panel_height=2.6, legend_entries=lines * LEGEND_COLUMNS)

@@ -193,14 +193,14 @@ class OutsideStudy:
         plant : Plant
             Simulated vehicle.
         controller : str
-            Controller.
+            Name of the controller in the table, such as "adaptive" or "se3".
         followed : Reference, optional
-            Reference trajectory; by default the plan.
+            Reference trajectory of the flight; by default the plan.
 
         Returns
         -------
         dict
-            Values by column name.
+            Values of the row by column name.
         """
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
@@ -254,9 +254,9 @@ class Flown(NamedTuple):
     plant : Plant
         Simulated vehicle.
     controller : str
-        Controller.
+        Name of the controller in the result table, such as "adaptive" or "se3".
     followed : Reference
-        Reference trajectory.
+        Reference trajectory that the controller follows.
     fly : callable
         Function without arguments that simulates and returns the flight.
     """
@@ -294,14 +294,19 @@ class _Mission:
         return self.planner.dynamics(self.scenario)
 
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
-        """Return a flight, not simulated yet, of the package's own ("declared") vehicle model.
+        """Describe a flight of the package's own ("declared") vehicle model, to be simulated later.
 
         Parameters
         ----------
         pilot : Pilot
-            Controller, or `OPEN_LOOP` for the plan's controls without feedback.
+            The adaptive controller, or `OPEN_LOOP` for the plan's controls without feedback.
         followed : Reference, optional
-            Reference trajectory.
+            Reference trajectory that the controller follows; by default the plan.
+
+        Returns
+        -------
+        Flown
+            Description of the flight, with the function that simulates the flight.
         """
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
@@ -317,7 +322,7 @@ class _Mission:
         pilot: Pilot,
         followed: Reference = Reference.PLAN,
     ) -> Flown:
-        """Return a flight in RotorPy under a given controller, not simulated yet.
+        """Describe a flight in RotorPy under a given controller, to be simulated later.
 
         Parameters
         ----------
@@ -326,9 +331,14 @@ class _Mission:
         plant : OutsidePlant
             The simulated vehicle itself: RotorPy with the vehicle's parameters.
         pilot : Pilot
-            Controller.
+            Controller, or `OPEN_LOOP` for the plan's controls without feedback.
         followed : Reference, optional
-            Reference trajectory.
+            Reference trajectory that the controller follows; by default the plan.
+
+        Returns
+        -------
+        Flown
+            Description of the flight, with the function that simulates the flight.
         """
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
@@ -341,7 +351,7 @@ class _Mission:
         followed: Reference,
         stiffness: float = 1.0,
     ) -> Flown:
-        """Return a flight in RotorPy under a variant of the controller SE3, not simulated yet.
+        """Describe a flight in RotorPy under a variant of controller SE3, to be simulated later.
 
         Parameters
         ----------
@@ -357,6 +367,11 @@ class _Mission:
             Reference trajectory from which `path` is made, for the result table.
         stiffness : float, optional
             Factor on the controller's gains.
+
+        Returns
+        -------
+        Flown
+            Description of the flight, with the function that simulates the flight.
         """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))

@@ -54,9 +54,10 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The objectives are least energy and least charge (`mission.aim`). The plan for the other
-    objective is solved on the mesh of the given plan, with a warm start from it and without mesh
-    refinement, and is verified too. The solve is stopped after ten seconds of processor time.
+    The objectives are least energy and least charge; the scenario's field `mission.aim` selects
+    one of them. The mission is solved for the other objective on the mesh of the given plan, with a
+    warm start from the given plan and without mesh refinement. The resulting plan is checked by a
+    simulation, as the given plan was. The solve is stopped after ten seconds of processor time.
 
     Parameters
     ----------
@@ -70,10 +71,11 @@ def energy_and_charge(
     Returns
     -------
     DataFrame
-        Columns of `AimColumn`, the plan of least energy first. Empty if the plan is not verified,
-        if its objective is the least time, if its model is a user's own or has the attitude
-        equations of Yacef et al. (`vehicle.attitude` "paper"), or if the solve for the other
-        objective fails.
+        One row for each of the two plans, the plan of least energy first, with the columns
+        `AimColumn`. The table is empty if a simulation did not confirm the given plan to the
+        requested accuracy, if the objective of the given plan is the least time, or if the solve
+        for the other objective fails. It is also empty if the vehicle model is a user's own, or has
+        the attitude equations of Yacef et al. (`vehicle.attitude` is "paper").
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER

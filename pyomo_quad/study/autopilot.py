@@ -1,11 +1,11 @@
 """Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
 A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
-limit on acceleration and one on jerk (`flight.routes`).  The saving of a plan over an autopilot
-says little unless these three settings are good.  Nelder and Mead's method therefore searches for
-the settings of least energy, over simulated flights under the controller; a flight that breaks a
-limit of the vehicle or misses the goal is penalised.  One triple of settings serves the whole
-mission.
+limit on acceleration and one on jerk. The module `flight.routes` computes this motion.  The saving
+of a plan over an autopilot says little unless the three settings (speed, acceleration and jerk) are
+good.  Nelder and Mead's method therefore searches for the settings of least energy, over simulated
+flights under the controller; a flight that breaks a limit of the vehicle or misses the goal is
+penalised.  One triple of settings serves the whole mission.
 
 Where all legs are long compared with the distance over which the vehicle reaches its speed, the
 energy is nearly the energy of steady flight. The search then begins at the speed of least energy

@@ -148,8 +148,9 @@ class ThrustMoments:
         these integrals, x . demanded is the integral of price(x) . thrust over the flight. If the
         thrust never exceeds u, then x . demanded <= u * (integral of |price(x)|). Among the
         multipliers with x . demanded = 1, those with the least integral of |price(x)| give the
-        largest lower bound on u. Where the full thrust reverses its direction, |price| has a
-        corner, so that the quadrature has a relative error of some 1e-4.
+        largest lower bound on u. A thrust that attains this bound has the constant length u and the
+        direction of price(x). Where price(x) passes through zero, |price(x)| has a corner as a
+        function of time, so that its quadrature has a relative error of about 1e-4.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -183,7 +184,10 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the two weights whose integrals with the thrust the boundary conditions fix.
+    """Return the two weight functions of the weighted integrals of the thrust, at given times.
+
+    The integral of a weight times the thrust over the flight has the same value for every flight
+    that meets the boundary conditions.
 
     Parameters
     ----------
@@ -197,9 +201,11 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
     Returns
     -------
     plain : ndarray, shape (n, 3)
-        Weight 1 of the momentum balance, docs/theory/bound.md, eq. (2).
+        Weight 1, along each axis, of the integral that follows from the momentum balance,
+        docs/theory/bound.md, eq. (2).
     lever : ndarray, shape (n, 3)
-        Weight k(t) of the displacement, eqs. (3) and (4), s.
+        Weight k(t), along each axis, of the integral that follows from the displacement, eqs. (3)
+        and (4), s.
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -346,11 +352,14 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 
 
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
-    """Return the best lower bound on the energy of a mission [J], and its basis in words.
+    """Return the largest known lower bound on the energy of a mission [J], and its basis in words.
 
-    The methods are `_bound_as_a_whole`, `_bound_by_legs` and `_bound_by_pairs`, which apply to
-    different missions. If several apply, the largest bound counts. If no method applies, the bound
-    is None and the text is the reason. `planner` holds the compiled equations of the vehicle.
+    Three functions of this module compute lower bounds, each for some missions only.
+    `_bound_as_a_whole` considers the flight from start to goal and ignores the waypoints.
+    `_bound_by_legs` considers each flight from one waypoint to the next. `_bound_by_pairs` is for
+    power or drag that depends on the airspeed. If several bounds are known, the largest is
+    returned. If none is known, the first result is None and the text is the reason. `scenario` is
+    the mission, and `planner` holds the compiled equations of the vehicle.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -375,10 +384,12 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
     """Return the reason why the bound leg by leg does not apply to a mission; "" if it applies.
 
-    `_bound_by_legs` computes this lower bound on the energy, which takes account of waypoints and
-    of a free duration. It does not apply, for instance, if the wind changes with time. The reason
-    is the end of a sentence such as "no bound is known that counts waypoints in a wind that changes
-    with time". `demand` is the thrust that the momentum balance requires for a motion.
+    The bound leg by leg is the lower bound on the energy that the function `_bound_by_legs`
+    computes. This bound takes account of waypoints and of a free duration. It does not apply, for
+    instance, if the wind changes with time. The result is then "in a wind that changes with time".
+    The caller appends the result to a message such as "no bound is known for a free duration".
+    `scenario` is the mission, and `demand` is the thrust that the momentum balance requires for a
+    motion.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -605,17 +616,18 @@ def _bound_of_places(
     winds: FloatArray,
     power: float,
 ) -> float:
-    """Return a lower bound on the energy in a wind field that includes the place of each wind [J].
+    """Return a lower bound on the energy [J] that takes account of where each wind blows.
 
-    The bound of `study.pairs` assumes that every wind of the field may blow everywhere. The bound
-    of this function (docs/theory/bound.md, eq. (25)) assumes in each horizontal cell of the field's
-    grid only the winds of this cell. `_has_places` tells whether it applies. The result is minus
+    The mission has a wind field. The bound that the module `study.pairs` computes assumes that
+    every wind of the field may blow everywhere. The bound of this function (docs/theory/bound.md,
+    eq. (25)) assumes in each horizontal cell of the field's grid only the winds of this cell. The
+    function `_has_places` tells whether the bound applies to a mission. The result is minus
     infinity if the search finds no such bound.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission, without waypoints.
+        The mission, without waypoints and with a wind field.
     pairs_in : callable
         Takes the corners of a polyhedron of winds [m/s], shape (n, 3), and returns the vehicle's
         pairs of thrust and airspeed for these winds, a `Pairs`.
@@ -633,19 +645,19 @@ def _bound_of_places(
 def _has_places(
     scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
 ) -> bool:
-    """Return whether the bound that includes the place of each wind applies to a mission.
+    """Return whether the lower bound that takes account of where each wind blows applies.
 
-    `_bound_of_places` computes this lower bound on the energy in a wind field. It applies if the
-    mission has a single leg with exact start and goal, if a flight may not leave the field, and if
-    the winds of the field are horizontal and not all the same. A flight may leave the field if the
-    scenario's `wind.beyond` is "hold".
+    The function `_bound_of_places` computes this lower bound on the energy of a mission in a wind
+    field. The bound applies if the mission has a single leg with exact start and goal, if a flight
+    may not leave the field, and if the winds of the field are horizontal and not all the same. A
+    flight may leave the field if the scenario's `wind.beyond` is "hold".
 
     Parameters
     ----------
     scenario : Scenario
         The mission, with a wind field.
     legs : sequence of Leg
-        Its legs, flights from one waypoint to the next.
+        Legs of the mission: the flights from one place (start, waypoint or goal) to the next.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still in still air [N]; it must be vertical.
     winds : ndarray, shape (n_winds, 3)
