@@ -325,8 +325,9 @@ def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float
     The mission's own duration is too short; a message recommends to allow more than the returned
     time. The bound is found by doubling and bisection, starting from the mission's duration. It is
     infinite if no duration that was tried suffices, or if the wind after the end of the mission is
-    unknown. `demand` is the thrust that the momentum balance requires for a motion; `available` is
-    the thrust that the limits allow [N].
+    unknown. `scenario` is the mission. `demand` computes the thrust that the momentum balance of
+    the vehicle requires for the motion from start to goal, and `available` is the thrust that the
+    limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -487,7 +488,8 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
     """Yield a caution if plans of a scenario may tilt further than its controller can follow.
 
-    The controller's tilt is limited by `baseline.gains.tilt_max`, a plan's tilt by `limits`.
+    The scenario's field `baseline.gains.tilt_max` limits the tilt of the controller. The limits on
+    roll, pitch and thrust in the scenario's table `limits` limit the tilt of a plan.
     """
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0

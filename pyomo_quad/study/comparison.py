@@ -131,7 +131,11 @@ its least over the flight; only if the scenario sets `limits.reserve`."""
 
 
 def has_arrived(flight: Flight) -> bool:
-    """Return whether a flight ends at the goal and nearly at rest."""
+    """Return whether a flight ends at the goal and nearly at rest.
+
+    At the end of the flight, the distance from the goal may be at most `ARRIVAL_DISTANCE_M`, and
+    the speed at most `ARRIVAL_SPEED_M_PER_S`.
+    """
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
 
@@ -237,10 +241,11 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Return whether the duration of a flight [s] differs from the duration of the mission.
+    """Return whether the duration of a flight differs from the duration of the mission.
 
-    If it differs, the energy of hovering for the mission's duration cannot be subtracted from the
-    energy of the flight; it is first scaled to the duration of the flight.
+    `duration_s` is the duration of the flight [s], and `scenario` is the mission. If the durations
+    differ, the energy of hovering for the mission's duration must be scaled to the duration of the
+    flight before it is subtracted from the energy of the flight.
     """
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
@@ -421,7 +426,11 @@ def settled_energy(flight: Flight) -> float:
 
 
 def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
-    """Return the comparison tables of many scenarios as one table."""
+    """Return the comparison tables of many scenarios as one table, one below the other.
+
+    `frames` are the tables, each with the columns of `ComparisonColumn`. The rows are numbered
+    anew. The result is a table without rows if there are no tables.
+    """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
     if not frames:
@@ -493,7 +502,11 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
 
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
-    """Return the values of a model variable in a flight's table; NaN if it has no column."""
+    """Return the values of a model variable in a flight's table, one for each row.
+
+    `frame` is the flight's table, one row for each time, and `variable` is the name of the variable
+    in the model. All values are NaN if the table has no column for the variable.
+    """
     name = column_of(variable).name
     if name not in frame:
         return np.full(len(frame), nan)

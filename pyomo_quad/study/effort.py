@@ -51,10 +51,11 @@ class Counts:
     Attributes
     ----------
     unknowns : int
-        Number of functions of time in the model: states and other variables.
-    elements, degree : int, tolerance : float
-        Number of elements and polynomial degree of the first mesh, and relative error to which the
-        mesh is refined.
+        Number of variables per collocation point: states and other functions of time in the model.
+    elements, degree : int
+        Number of elements of the first mesh, and polynomial degree in each element.
+    tolerance : float
+        Relative error to which the mesh is refined.
     waypoints : int
         Number of waypoints.
     routes : int
@@ -140,7 +141,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
     scenario : Scenario
         The mission and the solver's settings.
     unknowns : int
-        Number of functions of time in the model: states and other variables.
+        Number of variables per collocation point: states and other functions of time in the model.
 
     Returns
     -------
@@ -172,7 +173,8 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
 def counts_of(scenario: Scenario, unknowns: int) -> Counts:
     """Count the features of a scenario that determine its planning time.
 
-    `unknowns` is the number of functions of time in the model: states and other variables.
+    `scenario` holds the mission and the solver's settings. `unknowns` is the number of variables
+    per collocation point: states and other functions of time in the model.
     """
     mission, solver = scenario.mission, scenario.solver
     try:

@@ -166,10 +166,11 @@ def headline_of(result: "RunResult") -> Headline | None:
 
 
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
-    """Return the row of the flight with which the plan is compared; None if no flight qualifies.
+    """Choose the flight with which the plan is compared, and return its row.
 
-    Only flights that arrived within the limits qualify. The order of preference is: the tuned
-    autopilot, the smooth baseline, the flight of least energy.
+    `comparison` is the comparison table of the run, which has one row for each flight. Only other
+    flights that arrived within the limits qualify. The order of preference is: the tuned autopilot,
+    the smooth baseline, the flight of least energy. The result is None if no flight qualifies.
     """
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]

@@ -9,7 +9,7 @@ velocity.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
 r_k | sum of the distances that the two ends of leg k may lie from their nominal places
-s_k | thrust that holds the vehicle still on leg k: weight and the acceleration by a steady wind
+s_k | thrust that holds the vehicle still on leg k, against weight and the force of a steady wind
 p | price of thrust and momentum, W/N = J per N s
 y | price of velocity, J per m/s: m_k times p, linear in time on each leg
 P* | conjugate of the power: maximum of price of thrust times thrust minus power

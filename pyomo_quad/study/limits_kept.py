@@ -1,7 +1,7 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
-The sentences compare the broken limits with the plan's risk: the share of the plan's flights in
-turbulence that may break a limit.
+The plan's risk is the share of its flights in turbulence that may break a limit. The sentences also
+say whether this risk covers the limits that a flight breaks.
 """
 
 from collections.abc import Iterator, Sequence

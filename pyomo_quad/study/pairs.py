@@ -272,9 +272,10 @@ class Pairs:
         the smaller of two speeds. The first is the speed limit in `scenario` plus the speed of the
         strongest wind. The second is the airspeed at which the drag equals the largest thrust plus
         the length of `standing`, the thrust that holds the vehicle still; no vehicle accelerates
-        beyond this airspeed. If the wind differs from place to place, the second speed is increased
-        accordingly. The result is infinite if the scenario has no speed limit and the drag never
-        becomes so large. Implements docs/theory/bound.md, eq. (22).
+        beyond this airspeed. If the wind differs from place to place, the second speed is larger
+        than this airspeed by at least twice the greatest difference between a wind and the middle
+        of the range of winds. The result is infinite if the scenario has no speed limit and the
+        drag never becomes so large. Implements docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -312,8 +313,9 @@ class Pairs:
         momentum), w (of displacement) and eta (of kinetic energy). `mass` is the mass as a fraction
         of the mass at the start, and s, `standing` times `mass`, is the thrust that holds the
         vehicle still. The numbers are, in order: the length of p; the component of w - eta s along
-        p; the length of its component across p; and eta. They leave out the terms of H that are the
-        same for all pairs. See docs/theory/bound.md, eq. (16).
+        p; the length of the component of w - eta s across p; and eta. The terms of H that are the
+        same for all pairs are left out: they do not follow from these numbers. See
+        docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -345,8 +347,8 @@ class Pairs:
         Lagrange multiplier of the total change, which the mission fixes. The range of all pairs is
         sampled in each wind at a corner of the polyhedron of winds, and the least local minima are
         refined. The least value found may lie above the true minimum; `least` returns a proven
-        lower bound. Each returned pair becomes a constraint of the linear program for the best
-        prices.
+        lower bound. A linear program searches for the prices that give the largest lower bound on
+        the energy of a flight; each returned pair becomes a constraint of this program.
 
         Parameters
         ----------
@@ -861,12 +863,13 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        The unknowns, shape (size,), are the Lagrange multipliers of momentum, displacement and
-        kinetic energy, and auxiliary variables. The method `prices` computes the multipliers on
-        each leg from the unknowns. The program has constraints only for the pairs of thrust and
-        airspeed that are known so far. Its optimal value is therefore, up to a tolerance, an upper
-        bound on all lower bounds on the energy that any multipliers can prove. The search for
-        multipliers ends when the largest lower bound found is close to the optimal value.
+        The unknowns are the Lagrange multipliers of momentum, displacement and kinetic energy, and
+        auxiliary variables. Their values are returned as an array of shape (n_unknowns,), from
+        which the method `prices` computes the multipliers on each leg. The program has constraints
+        only for the pairs of thrust and airspeed that are known so far. Its optimal value is
+        therefore, up to a tolerance, an upper bound on all lower bounds on the energy that any
+        multipliers can prove. The search for multipliers ends when the largest lower bound found is
+        close to the optimal value.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
@@ -880,7 +883,7 @@ class _Program:
         """Return the prices on each leg from the unknowns of the linear program.
 
         Prices are the Lagrange multipliers of momentum, displacement and kinetic energy. `solution`
-        holds the values of all unknowns, shape (size,), as `solve` returns them.
+        holds the values of all unknowns, shape (n_unknowns,), as `solve` returns them.
         """
         return [
             MotionPrices(

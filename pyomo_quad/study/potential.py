@@ -126,8 +126,9 @@ class PlacePrices:
         G is the least value in still air, over all combinations of thrust and airspeed, of the
         power minus the rates at which momentum, position and kinetic energy change, each times its
         price (Lagrange multiplier). The gradient of the potential is the price of horizontal
-        displacement. G depends on the horizontal length of the price of momentum, the length of the
-        gradient, and the angle between the two.
+        displacement. The vertical prices of momentum and displacement and the price of kinetic
+        energy are those of this object. G then depends on the length of the horizontal part of the
+        price of momentum, the length of the gradient, and the angle between the two.
 
         Parameters
         ----------
@@ -136,9 +137,10 @@ class PlacePrices:
             shape (n,) [W].
         sizes : ndarray, shape (n_sizes,)
             Lengths of the horizontal part of the price of momentum [W/N], increasing.
-        lengths : ndarray, shape (_DIRECTIONS, n_lengths)
-            Lengths of the horizontal gradient in each direction [N], of which the first is zero.
-            The directions are equally spaced over half a turn from the price of momentum.
+        lengths : ndarray, shape (n_directions, n_lengths)
+            Lengths of the horizontal gradient [N], one row for each direction of the gradient; the
+            first length in each row is zero. There are `_DIRECTIONS` directions, equally spaced
+            over half a turn from the price of momentum.
 
         Returns
         -------
@@ -178,12 +180,12 @@ class GradientTable:
     ----------
     sizes : ndarray, shape (n_sizes,)
         Horizontal lengths of the price of momentum [W/N], increasing.
-    lengths : ndarray, shape (_DIRECTIONS, n_lengths)
-        Lengths of the gradient in each direction [N], increasing from zero. The directions are
-        equally spaced over half a turn from the price of momentum. The values over the other half
-        turn follow by symmetry.
-    values : ndarray, shape (n_sizes, _DIRECTIONS, n_lengths)
-        Lower bounds on G [W].
+    lengths : ndarray, shape (n_directions, n_lengths)
+        Lengths of the gradient [N], one row for each direction of the gradient, increasing from
+        zero. There are `_DIRECTIONS` directions, equally spaced over half a turn from the price of
+        momentum. The values over the other half turn follow by symmetry.
+    values : ndarray, shape (n_sizes, n_directions, n_lengths)
+        Values of G, or lower bounds on G [W].
     """
 
     sizes: FloatArray
@@ -193,11 +195,13 @@ class GradientTable:
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
         """Return the allowed gradients of a potential in each of n winds, as polygons.
 
-        A potential is a function of the horizontal place. A motion in a wind changes the momentum,
-        the kinetic energy and the height of the vehicle, and gains potential along the gradient. A
-        gradient [J/m] is allowed in a wind if the power of every motion in this wind is at least
-        the sum of these rates, those of the first three each times its price (Lagrange multiplier),
-        plus `prices.power`. Implements docs/theory/bound.md, eq. (26).
+        A potential is a function of the horizontal place. A motion in a wind changes momentum,
+        kinetic energy and height of the vehicle at certain rates, and it gains potential at the
+        rate of the gradient times the velocity. A gradient is allowed in a wind if the power of
+        every motion in this wind is at least the sum of five terms: the rates of change of
+        momentum, kinetic energy and height, each times its price (Lagrange multiplier); the rate at
+        which the motion gains potential; and `prices.power`. Implements docs/theory/bound.md,
+        eq. (26).
 
         Parameters
         ----------
@@ -208,9 +212,10 @@ class GradientTable:
 
         Returns
         -------
-        ndarray or None, shape (n, 2 * (_DIRECTIONS - 1), 2)
-            Corners of each polygon, counter-clockwise [N]; None if the gradient zero is not allowed
-            in one of the winds.
+        ndarray or None, shape (n, n_corners, 2)
+            Corners of the polygon of each wind, counter-clockwise [N, which is J/m]; the table's
+            directions and their mirror images give one corner each. None if the gradient zero is
+            not allowed in one of the winds.
         """
         momentum = prices.offset[:2] + prices.motion * winds
         size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
@@ -319,9 +324,10 @@ class Places:
     def _shares(self, place: FloatArray) -> list[tuple[int, float]]:
         """Return the nodes of the triangle of the grid that contains a place, with their weights.
 
-        `place` is a position, of which only x and y count [m]. The weights are its barycentric
-        coordinates in the triangle. A potential at the place is the sum of its values at these
-        nodes, each times its weight. Each item of the result is (index of node, weight).
+        `place` is a position, of which only x and y count [m]. The weights are the barycentric
+        coordinates of the place in the triangle. The value of a potential at the place is the sum
+        of the values of the potential at these nodes, each times the weight of the node. Each item
+        of the result is (index of node, weight).
         """
         cell, shares = [], []
         for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
@@ -531,7 +537,9 @@ def bound_by_places(
 
     The bound is the sum of three terms: the rise of a potential from start to goal, a term for the
     difference in height, and a term for the duration. A potential is a function of the horizontal
-    place. Its slope at each place is limited by the energy of motions in the winds there.
+    place. Its slope at each place is limited by the energy of motions in the winds there. The limit
+    and the other two terms depend on the prices, which are the Lagrange multipliers of the total
+    changes of momentum, height and kinetic energy; prices that give a large bound are searched for.
     Implements docs/theory/bound.md, eq. (25).
 
     Parameters
@@ -553,7 +561,7 @@ def bound_by_places(
     Returns
     -------
     float
-        The bound; minus infinity if no prices were found that give one.
+        The bound; minus infinity if no prices were found that give a bound.
     """
     search = _Search(pairs_in(winds), places, durations, power)
     mean = np.array([*places.corners.mean(axis=(0, 1)), 0.0])

@@ -245,7 +245,8 @@ def run_scenario(
 
     A solve or a flight that fails is part of the result, not an exception.  On Linux, the flights
     are simulated in parallel by copies of the process, one per core, if BLAS has one thread
-    (`OMP_NUM_THREADS=1`, as the commands set it).
+    (`OMP_NUM_THREADS=1`, as the commands set it).  The run ends after the time that the scenario's
+    field `solver.time_limit` allows; flights that are missing by then become warnings.
 
     Parameters
     ----------
@@ -254,11 +255,10 @@ def run_scenario(
     planner : Planner, optional
         Planner whose compiled models the run uses; by default a new planner.
     baselines : sequence of Reference, optional
-        References that the controller flies for comparison; by default the references that the
-        scenario names.
+        Reference trajectories that the controller tracks in the simulated flights, for comparison
+        with the plan; by default those that the scenario names.
     progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve. The run ends after
-        `solver.time_limit`; flights that are missing by then become warnings.
+        Called at each Ipopt iteration; returning False stops the solve.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
 

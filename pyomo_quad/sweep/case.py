@@ -80,7 +80,7 @@ class CaseTask:
         plan.
     warm_start : bytes or None
         Packed initial guess from the solution of the parent, a neighbouring case that was solved
-        before.
+        before; None if there is no such solution.
     """
 
     position: int
@@ -103,7 +103,7 @@ class CaseResult:
         Numeric value of each output column, by column name.
     warm_start : bytes or None
         Packed solution, the initial guess of the children: neighbouring cases that are solved after
-        this case.
+        this case. None if there is no solution from which they can start.
     reason : str
         Reason of the failure; empty for a success. After a failure, `values` still holds the
         numbers that could be computed.
@@ -133,7 +133,7 @@ class CaseOutcome:
         Numeric value of each output column, by column name.
     warm_start : bytes or None
         Packed solution, the initial guess of the children: neighbouring cases that are solved
-        after this case.
+        after this case. None if there is no solution from which they can start.
     seconds : float
         Wall time of the solve, in s.
     worker : str
@@ -292,11 +292,12 @@ class _Flown:
 
     @property
     def saved(self) -> float:
-        """Energy saving of the plan compared with a flight under the controller, as a fraction.
+        """Energy saving of the plan compared with this flight, as a fraction.
 
-        The saving is relative to the flight's energy, which includes the estimated energy that the
-        vehicle still needs from the end of the flight to the goal state. NaN if plan and flight are
-        not comparable, for example if the flight did not arrive.
+        This flight is here a simulated flight under the controller. The saving is relative to the
+        energy of this flight, to which the estimated energy that the vehicle still needs from the
+        end of the flight to the goal state is added. NaN if plan and flight are not comparable, for
+        example if the flight did not arrive.
         """
         if not is_comparable(self.flight):
             return np.nan
@@ -504,11 +505,12 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Simulate a controller that tracks the base case's plan in the scenario of another case.
+    """Simulate a controller that tracks the base case's plan in the scenario of a sweep's case.
 
     `task` is the input of the case, with the base scenario of the sweep; `scenario` is the scenario
-    of the case. The result holds the output columns of the flight. It is a failure if the base
-    case's plan is not verified or if two integrators disagree on the flight.
+    of the case. The result holds the output columns of the flight. The case fails, and the result
+    holds the reason, if the base case's plan is not verified or if two integrators disagree on the
+    flight.
     """
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)

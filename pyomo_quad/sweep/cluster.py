@@ -66,7 +66,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 def _silence_dask() -> None:
     """Turn off the log messages of Dask, because this module reports a lost cluster itself.
 
-    The loggers set their own levels when Dask is imported, and would print tracebacks.
+    Without this, Dask would print tracebacks when a cluster is lost. The function is called after
+    the import of Dask, because the import sets the levels of the loggers.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in _DASK_LOGGERS:
