@@ -280,7 +280,8 @@ class SweepDesign:
     name, title, about : str
         Short name, title and first paragraph of the report, as in the study file.
     task : StudyTask
-        Whether each case is planned, or flies the base case's plan.
+        `OPTIMISE`, if each case's minimum-energy flight is planned; `FLY_PLAN`, if only the flight
+        of the base scenario is planned, and the controller tracks this plan in each case.
     baselines : tuple of Reference
         Reference trajectories that the controller flies in each case, for comparison.
     outputs, report_on : tuple of str
@@ -501,11 +502,12 @@ def case_key(overrides: Mapping[str, Any]) -> str:
 
 
 def bisection_parents(count: int) -> list[int | None]:
-    """Arrange sorted values in a balanced bisection tree, which gives the order of warm starts.
+    """Arrange the sorted values of a field in a balanced bisection tree, for warm starts.
 
-    The middle value is solved first, then the middle of each half, starting from the solution of
-    the value above it in the tree. A case therefore has a close neighbour as initial guess, and the
-    number of solves in sequence grows only with the logarithm of the number of values.
+    The root of the tree is the middle value, for which the problem is solved first. The children of
+    the root are the middle values of the two halves, which are bisected in the same way. The solve
+    for each value starts from the solution for the value's parent, a close neighbour. The number of
+    solves that must follow one another grows only with the logarithm of the number of values.
 
     Parameters
     ----------
@@ -515,7 +517,8 @@ def bisection_parents(count: int) -> list[int | None]:
     Returns
     -------
     list of int or None
-        For each rank in sorted order the rank of its parent; None for the middle value.
+        For each value, in sorted order, the index of its parent in this order; None for the middle
+        value, which has no parent.
     """
     parents: list[int | None] = [None] * count
     pending: list[tuple[int, int, int | None]] = [(0, count, None)]

@@ -169,8 +169,8 @@ class _Figures:
         """Select the curves that a chart against a scenario field shows.
 
         `field` is the dotted path of the field. A curve holds the cases that differ in this field
-        only. If there are more than `_MOST_CURVES`, the selected curves are spread evenly over all
-        curves.
+        only. If the sweep has more curves than a chart may show (the constant `_MOST_CURVES`), that
+        number of curves is selected, spread evenly over all curves.
 
         Returns
         -------
@@ -206,9 +206,11 @@ class _Figures:
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return the caption's sentence on a wind rose's centre value and on the worst wind direction.
 
-    `curves` are the curves of the wind rose, and `quantity` is the output column that it shows. The
-    centre is the least value of all curves. The worst direction is the wind direction of the
-    greatest value of the quantity or, if it should be large, such as a saving, of the least value.
+    `curves` are the curves of the wind rose, and `quantity` is the output column that the wind rose
+    shows. The centre of the wind rose stands for the least value of the quantity over all curves.
+    The worst direction is the wind direction at which the quantity has its worst value over all
+    curves. The worst value is the greatest one, but the least one of a quantity that should be
+    large, such as a saving.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

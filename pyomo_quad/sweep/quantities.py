@@ -131,13 +131,16 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 def case_name(fields: Mapping[str, Any]) -> str:
     """Return the printed name of a sweep's central case: its field values, such as "a.b = 1 m".
 
-    Heat maps and sensitivities vary one or two fields and keep the others as in the central case;
-    captions name this case.
+    In the central case, each field that varies has the base scenario's value or, if the sweep does
+    not contain this value, the middle of the field's values. Heat maps and sensitivities vary one
+    or two fields and keep the other fields as in the central case. Their captions contain the name
+    of the central case.
 
     Parameters
     ----------
     fields : mapping
-        Value of each field, by its dotted path; empty if all fields are random.
+        Value of each field to name, by its dotted path, without random fields. If it is empty, the
+        name is "the middle of the draws".
     """
     parts = [f"{path} = {_with_unit(path, value)}" for path, value in fields.items()]
     return ", ".join(parts) or "the middle of the draws"

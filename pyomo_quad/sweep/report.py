@@ -93,8 +93,10 @@ def write_sweep_report(
 def _outcome(results: SweepResults) -> dict[str, Any]:
     """Compute the variables of the report's template that need at least one finished case.
 
-    `results` is the result table of the sweep. The variables, by name, are the numbers of flights
-    that did not arrive, the quantiles of each quantity, the best durations, and the sensitivities.
+    `results` is the result table of the sweep. The result maps the names of variables to their
+    values. These are the cases in which the controlled flight missed the goal; quantiles of each
+    output column that the report draws; the mission durations at which the first of these columns
+    is least; and the range of each of these columns as each scenario field varies.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -186,10 +188,11 @@ def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[
     """Yield the mission duration at which a quantity is least, for the report's template.
 
     `results` is the result table of the sweep, and `quantity` is the output column to minimise.
-    There is one item for each combination of the other fields that vary. It holds their values, the
-    best duration with the quantity there, the quantity at the base scenario's duration, and the
-    shortest duration that was solved. Nothing is yielded if the sweep does not vary the mission's
-    duration.
+    The best duration is the duration at which the quantity is least. There is one item for each
+    combination of values of the fields other than the duration that the sweep varies. The item
+    holds these values, the best duration, the quantity at the best duration, the quantity at the
+    base scenario's duration, and the shortest duration that was solved. Nothing is yielded if the
+    sweep does not vary the mission's duration.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

@@ -188,16 +188,17 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Replace each case that has already ended by its nearest descendants without a result.
+        """Replace each of the given cases that has already ended by cases that have not ended.
 
-        In this way a resumed sweep continues below the cases of which it already has results.
-        `cases` are cases of the sweep. The children of a case are the cases that start from its
-        solution. Its descendants are its children, the children of these, and so on.
+        In this way a resumed sweep continues with cases whose parents ended in an earlier run.
+        `cases` are the given cases. The children of a case are the neighbouring cases whose solves
+        start from the solution of this case. A case that has ended is replaced by its children, and
+        a child that has ended is replaced by the children of the child, and so on.
 
         Returns
         -------
         list of Case
-            Cases that can be solved now.
+            Cases that have not ended, and can be solved now.
         """
         found, pending = [], list(reversed(cases))
         while pending:
@@ -223,10 +224,10 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        `outcome` is the row of the case that ended. The cases that can be solved now are its
-        children: neighbouring cases whose solves start from its solution. A child that has a result
-        already is replaced by its own children. Warm starts that no case needs any more are deleted
-        from the store.
+        `outcome` is the row of the case that ended. The children of a case are the neighbouring
+        cases whose solves start from the solution of this case. The children of the case that ended
+        can be solved now. A child that has already ended is replaced by the children of the child.
+        Warm starts that no case needs any more are deleted from the store.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST

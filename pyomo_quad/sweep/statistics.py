@@ -3,8 +3,8 @@
 A quantity is an output column of the sweep's result table, such as the energy. A dimension is one
 scenario field, or several fields that change together. A sweep has a case for each combination of
 the values of its dimensions. Sensitivities and heat maps vary one or two dimensions and keep the
-other fields as in the central case. In this case each field has the base scenario's value or, if
-the sweep does not contain this value, the middle of the field's values.
+other fields as in the central case. The central case is the case in which each field has the base
+scenario's value or, if the sweep does not contain this value, the middle of the field's values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -46,22 +46,25 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies.
 
-    The values of a field are either given (listed or spaced) or drawn at random. All other fields
-    with given values are as in the central case of the sweep. For a field with given values, the
-    quantity is its mean over the draws of the random fields, if there are any. For a random field,
-    the quantity is the value of a linear fit in all random fields, with the other random fields at
-    their mean.
+    The values of a field are either given (listed or spaced) or drawn at random. While one field
+    varies, all other fields with given values are as in the central case of the sweep. If the field
+    that varies has given values and the sweep also has random fields, the quantity is averaged over
+    the draws of the random fields. If the field that varies is random, a linear function of all
+    random fields is fitted to the quantity. The fitted function then replaces the quantity, with
+    the other random fields at their means.
 
     Attributes
     ----------
     field : str
-        Dotted path of the scenario field, the first of its dimension.
+        Dotted path of the scenario field that varies. If several fields with given values change
+        together, this is the first of these fields.
     least, greatest : float
         Least and greatest value of the quantity, in the unit of its column.
     least_at, greatest_at : float
         Values of the field at which the quantity is least and greatest.
     base : float
-        The quantity in the central case; NaN if that case failed.
+        The quantity in the central case, NaN if that case failed. For a random field, the fitted
+        function at the means of all random fields.
     """
 
     field: str
@@ -152,7 +155,8 @@ class SweepResults:
     design : SweepDesign
         Specification of the sweep, with list values as JSON text as in the table's cells.
     frame : DataFrame
-        Result table with one row for each case that ended, from `results_frame`.
+        Result table with one row for each case that ended, as the function `results_frame` reads
+        it from the result store.
     """
 
     design: SweepDesign
@@ -262,11 +266,16 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        For a field whose values are given (not drawn at random), the range is taken over all values
-        of the field, with all other such fields as in the central case. The first and the last
-        value alone do not suffice: for an angle that goes once around, the quantity is the same at
-        both. For a random field, a plane is fitted to the quantity by least squares; the range is
-        the plane's range between the 5 % and 95 % quantiles of the field's draws.
+        The values of a field are either given (listed or spaced) or drawn at random. All fields
+        with given values, except the field whose effect is computed, are as in the central case.
+
+        For a field with given values, the range of the quantity is taken over all values of the
+        field. The first and the last value of the field alone do not suffice: for an angle that
+        goes once around, the quantity is the same at both.
+
+        For a random field, a linear function of all random fields is fitted to the quantity by
+        least squares. The range is that of the fitted function between the 5 % and 95 % quantiles
+        of the field's draws, with the other random fields at their means.
 
         Parameters
         ----------

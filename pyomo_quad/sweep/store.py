@@ -513,7 +513,8 @@ class ResultStore:
         is_parent : bool
             Whether other cases start from this case's solution, which is then stored too.
         spent : str, optional
-            Key of a case whose warm start no case needs any more, to delete; empty for none.
+            Key of a case whose warm start is deleted, because no other case needs this warm start
+            any more; empty if no warm start is deleted.
         outdated : iterable of str, optional
             Keys of cases whose rows and warm starts are no longer valid, to delete.
 

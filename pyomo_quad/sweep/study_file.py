@@ -1,7 +1,7 @@
 """Study file of a parameter sweep: its schema, its loading and the design made from it.
 
-A study file (TOML) names a base scenario, the scenario fields that vary with their values (axes),
-and the output columns to keep and report.
+A study file (TOML) names a base scenario, the axes of the sweep, and the output columns to keep and
+report. An axis is a scenario field that the sweep varies, with the values that the field takes.
 """
 
 from collections.abc import Iterator, Mapping
@@ -251,7 +251,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     loaded : LoadedStudy
         Study file and base scenario, from `load_study`.
     is_large_allowed : bool, default False
-        Whether the sweep may have more than `CASE_LIMIT` cases.
+        Whether the sweep may have more cases than the constant `CASE_LIMIT`, which guards against
+        sweeps that are large by mistake.
 
     Returns
     -------
@@ -261,8 +262,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     Raises
     ------
     StudyError
-        If two axes set the same field, grouped axes differ in length, a value occurs twice, or
-        there are too many cases.
+        If two axes set the same field, two axes of a group (whose fields change together) have
+        different numbers of values, a value occurs twice, or there are too many cases.
     ScenarioError
         If an axis names an unknown field, or has a value that the field does not allow.
 

@@ -31,9 +31,12 @@ WATCH_SECONDS = 2.0
 
 
 class ClusterError(PyomoQuadError, RuntimeError):
-    """Error: a Dask cluster cannot be reached, has unusable workers, or was lost during a sweep.
+    """Error: a Dask cluster cannot be used, or was lost during a sweep.
 
-    The results of cases that finished before remain in the result store.
+    A cluster cannot be used if `dask.distributed` is not installed on this machine, if the cluster
+    cannot be reached, or if a worker has no pyomo_quad or another version of it.
+
+    The results of cases that finished before the error remain in the result store.
     """
 
 

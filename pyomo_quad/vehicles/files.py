@@ -13,7 +13,13 @@ _DIGITS = 6
 
 
 def pack_name(name: str) -> str:
-    """Return the battery file's name, `NAME_pack.toml`, for the vehicle file `NAME.toml`."""
+    """Return the name of a vehicle's battery file, ``{name}_pack.toml``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the vehicle, whose own file is ``{name}.toml``.
+    """
     return f"{name}_pack.toml"
 
 

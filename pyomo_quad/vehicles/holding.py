@@ -46,8 +46,8 @@ class Held:
     scenario : Scenario
         Scenario with the vehicle.
     points : DataFrame
-        Measurements of steady flight, one row each: power, airspeed, payload, climb and air
-        density.
+        Measurements of steady flight, one row each. The columns are power [W], airspeed [m/s],
+        payload [kg], climb speed [m/s] and air density [kg/m³].
     computed : ndarray, shape (n_points,)
         Power that the vehicle's model gives for each measurement [W].
     is_endurance : bool
@@ -69,12 +69,19 @@ class Held:
 
     @property
     def errors(self) -> FloatArray:
-        """Computed minus measured power, divided by the measured power, of each point [percent]."""
+        """Error of the computed power for each measurement [percent].
+
+        The error is computed minus measured power, divided by the measured power.
+        """
         return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
 
     @property
     def mean_error(self) -> float:
-        """Mean of the absolute values of `errors` [percent]."""
+        """Mean absolute error of the computed power over all measurements [percent].
+
+        The error of each measurement, `errors`, is computed minus measured power, divided by the
+        measured power.
+        """
         return float(np.mean(np.abs(self.errors)))
 
     @property
