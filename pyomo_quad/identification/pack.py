@@ -409,15 +409,15 @@ class Circuit:
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
         """Return computed minus measured cell voltage [V] of all flights, as one vector.
 
-        The first seconds under load are left out, because they determine the factor on the
-        resistance of each flight's pack.
+        The battery of each flight has a factor of its own on the resistance of the model. The
+        first seconds under load determine this factor, and are therefore left out of the result.
 
         Parameters
         ----------
         record : Record
             Measured powers and voltages.
         values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
+            Logarithms of the fields of the battery that are fitted.
         """
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)

@@ -73,9 +73,9 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 
 @dataclass(frozen=True, kw_only=True)
 class PlacePrices:
-    """Multipliers (prices) in the bound by a potential that are equal at all places of a field.
+    """Prices in the bound by a potential. They have the same value at all places of a wind field.
 
-    A potential is a function of the horizontal place whose rise from start to goal gives a lower
+    Prices are Lagrange multipliers. A potential is a function of the horizontal place whose rise from start to goal gives a lower
     bound on the energy of every flight. The mission fixes by how much a flight changes momentum,
     kinetic energy and height of the vehicle; the prices are the Lagrange multipliers of these
     changes.
@@ -83,15 +83,15 @@ class PlacePrices:
     Attributes
     ----------
     offset : ndarray, shape (3,)
-        Price of momentum in still air (o) [W/N, which is J per N s].
+        Price of momentum where there is no wind (o) [W/N, which is J per N s].
     motion : float
         Price of kinetic energy (eta), dimensionless.
     climb : float
         Price of vertical displacement [N].
     power : float
-        Power (h) that every motion spends at least [W], in addition to the rates at which it
-        changes momentum, kinetic energy, height and potential, the first three each times its
-        price.
+        Price of time (h) [W]. The power of every motion is at least the sum of five terms: the
+        rates of change of momentum, kinetic energy and height, each times its price; the rate at
+        which the potential rises; and this price.
     """
 
     offset: FloatArray
@@ -457,14 +457,15 @@ class _Search:
         return found + self._tolerance * np.arange(len(found)) / len(found)
 
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
-        """Return the lower bound on the energy that follows from a table of the function G [J].
+        """Return a lower bound on the energy of every flight [J], from a table of the function G.
 
         The bound is the largest rise, from start to goal, of a potential (a function of the
-        horizontal place), plus terms for height and duration. The gradient of the potential is
-        limited by the function G, which `table` holds: the least value in still air, over all
-        combinations of thrust and airspeed, of the power minus the rates at which momentum,
-        position and kinetic energy change, each times its price (Lagrange multiplier). `prices` are
-        the prices that are equal at all places. The result is minus infinity if even the gradient
+        horizontal place), plus terms for height and duration. The gradients that the potential may
+        have in each wind follow from `table`, which has values of G. G is a function of the
+        gradient. Its value is the least of a difference, over all combinations of thrust and
+        airspeed in still air: the power, minus the rates of change of momentum, position and
+        kinetic energy, each times its price (Lagrange multiplier). `prices` are the prices that are
+        equal at all places. The result is minus infinity if even the gradient
         zero is not allowed in one of the winds of the field.
         """
         gradients = table.gradients(prices, self._winds)

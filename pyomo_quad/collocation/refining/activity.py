@@ -142,10 +142,11 @@ def kinks(solution: Solution) -> FloatArray:
 
 
 def _zero(times: FloatArray, values: FloatArray) -> float:
-    """Return the time at which a function reaches zero, by inverse interpolation.
+    """Return the time at which a positive function reaches zero, by inverse extrapolation.
 
-    `values` are samples of the function at `times`, in order of distance from the zero. The result
-    is NaN unless the samples increase with the distance from the zero.
+    `values` are samples of the function at the times `times`, all on the same side of the zero. The
+    first sample is the nearest to the zero, and each further sample is farther away. The result is
+    NaN unless each value is larger than the one before it.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan
