@@ -75,7 +75,7 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 class PlacePrices:
     """Prices in the bound by a potential. They have the same value at all places of a wind field.
 
-    Prices are Lagrange multipliers. A potential is a function of the horizontal place whose rise from start to goal gives a lower
+    A potential is a function of the horizontal place. Its rise from start to goal gives a lower
     bound on the energy of every flight. The mission fixes by how much a flight changes momentum,
     kinetic energy and height of the vehicle; the prices are the Lagrange multipliers of these
     changes.
