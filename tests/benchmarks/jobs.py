@@ -30,7 +30,7 @@ ABOUT = (
     "than 150 s on the clock is. Processor seconds of one thread from a scenario to its verified "
     "plan, without imports, the median of the runs; of a run, the clock on the wall from the "
     "start of the process to its end. `usable` ends with the first usable plan (of a package that "
-    "knows of none, with the end of the solve) and asks for quick, `standard` for standard and "
+    "knows of none, with the end of the solve) and asks for standard like `standard`, and "
     "`proof` for proof; an older checkout that knows no accuracies is asked for its tolerance"
     " by default, 1e-6. The random missions are the first of seed 2026 of the benchmark "
     "`robustness`, their seconds those of the median mission. Of the second table, flights are "
@@ -71,7 +71,7 @@ def _mission(label):
 
 JOBS = {
     "a stranger's delivery, usable": Job(
-        wanted=15, function="usable", scenario=str(STRANGER), told={"accuracy": "quick"}
+        wanted=15, function="usable", scenario=str(STRANGER), told={"accuracy": "standard"}
     ),
     "a stranger's delivery, standard": Job(
         wanted=40, scenario=str(STRANGER), told={"accuracy": "standard"}
