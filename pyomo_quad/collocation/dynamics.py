@@ -52,7 +52,7 @@ class Instants:
         parameters).
     read : callable
         ``(keys, *inputs)`` -> values of the model's components that `keys` names, shape
-        (n, n_keys). See the method `table` for the form of `keys`.
+        (n, n_keys). See `table` for the form of `keys`.
     numbers : callable
         (data, new values of parameters by full name) -> copy of the data with the new values.
     """

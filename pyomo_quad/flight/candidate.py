@@ -298,9 +298,10 @@ class Candidate:
         duration = (guess or {}).get("duration", told.nominal_duration)
         rough = mission.solve(mesh=rough_mesh(duration), tolerance=None, guess=guess)
         self.solution = rough
-        if rough.status.is_solved and told.solver.accuracy is not Accuracy.PROOF:
-            self.solution = mission.go_on(rough)
-        elif rough.status.is_solved:
+        if rough.status.is_solved:
+            if told.solver.accuracy is not Accuracy.PROOF:
+                # Its flight is offered as a usable plan.
+                mission.go_on(rough, max_meshes=1)
             self.solution = mission.solve(
                 mesh=fine_mesh(rough.horizon[1], told.solver.degree),
                 options=mission.arguments["options"].for_small_changes(),
@@ -554,8 +555,7 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        This is the case if the solve converged but its simulated flight is not verified (see the
-        method `is_astray`), and if the scenario requires an accuracy below the highest level,
+        This is the case if the solve converged but its simulated flight is not verified (see `is_astray`), and if the scenario requires an accuracy below the highest level,
         `proof`. At the highest level, limits are not made stricter, because this costs energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF

@@ -1,7 +1,7 @@
 """Planner, which makes a verified plan from a scenario.
 
 It compiles the optimal control problem of the scenario, and solves it by strategies, such as a
-first solve and retries from other initial guesses (see the module `flight.strategies`). It then
+first solve and retries from other initial guesses (see `flight.strategies`). It then
 verifies the plan by simulation.
 """
 

@@ -2,8 +2,8 @@
 
 A re-plan is a new plan for the rest of the mission, made in flight.  It ends at the goal, or in the
 next hover at a waypoint, because later parts of the mission do not affect a hovering vehicle.  Its
-limits are soft: they may be violated at a penalty (see the module `model.soft_limits`). They are
-tightened by the margins of the plan made before take-off (see the module `flight.margins`).  The
+limits are soft: they may be violated at a penalty (see `model.soft_limits`). They are
+tightened by the margins of the plan made before take-off (see `flight.margins`).  The
 mesh has short elements at the present time, where a disturbance is corrected, and near the passages
 of waypoints; it has long elements elsewhere.  The clearance from keep-out zones is three
 centimetres larger than the mission requires, to allow for the error of a coarse mesh.

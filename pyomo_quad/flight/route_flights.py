@@ -43,6 +43,9 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
+# Iterations times points of the first route's solve above which a search is so long that a usable
+# plan is sought before other routes are solved.
+_LONG = 2_500
 # Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
 # Factor on `_NEAR_ON_FIRST` where accuracy `proof` is not requested: energies on one mesh have
@@ -184,8 +187,9 @@ class RouteFlights:
         the other journeys. A usable plan is a plan that simulation confirms at lower accuracy than
         requested; it is the result if the user stops the search. The refined solution is stored,
         because the solution along the shortest journey is often needed later too. Nothing is done
-        after a failed solve, if a waypoint has a radius or a speed limit, if the scenario allows no
-        mesh refinement, or if it requires the highest accuracy, `proof`.
+        after a failed solve, after a solve that took little work, without regeneration (whose
+        problem is solved by way of easier ones), if the scenario allows no mesh refinement, or if
+        it requires the highest accuracy, `proof`.
 
         Parameters
         ----------
@@ -195,7 +199,10 @@ class RouteFlights:
             Solution along this journey on one coarse mesh.
         """
         is_first = not self._begun and self._is_pruned and not self._mission.easier
-        if is_first and solution.status.is_solved and self._scenario.solver.max_refinements > 0:
+        if not is_first or not solution.status.is_solved:
+            return
+        is_long = len(solution.iterations) * solution.mesh.points > _LONG
+        if is_long and self._scenario.solver.max_refinements > 0:
             refined = self._mission.until_usable(solution)
             if refined is not solution:
                 self._begun[number] = refined

@@ -351,7 +351,7 @@ class SteadyFlight:
         """Return the total power [W] at equal, constant rotor speeds; it may be negative.
 
         In a model in which braking a rotor returns no energy, a negative power is replaced by zero
-        (see the module `model.power`). The method `power` returns the total power after this
+        (see `model.power`). The method `power` returns the total power after this
         replacement, and the present method returns the total power before it. `speed` has rotor
         speeds [rad/s]; the result has the same shape.
         """

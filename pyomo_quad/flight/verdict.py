@@ -125,11 +125,10 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls (see the
-    module `flight.tracking`). Without this correction, the controls of a solution on a coarse mesh
+    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls (see `flight.tracking`). Without this correction, the controls of a solution on a coarse mesh
     would miss the goal. If the corrected flight breaks limits, the corrections are computed again:
     they then anticipate the deviations of that flight, and lead the vehicle along a path that is
-    displaced out of the zones that the flight entered (see the module `flight.displacement`).
+    displaced out of the zones that the flight entered (see `flight.displacement`).
 
     Parameters
     ----------
@@ -315,8 +314,7 @@ def _followed(
     """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
 
     `plan` is the plan before the correction. The corrected plan has the states, controls and energy
-    of a simulated flight that follows the path of `plan` under feedback (see the module
-    `flight.tracking`). If the vehicle cannot follow this path, the result is `plan`, unchanged.
+    of a simulated flight that follows the path of `plan` under feedback (see `flight.tracking`). If the vehicle cannot follow this path, the result is `plan`, unchanged.
     `least_energy` is the energy of the optimum [J]. The error estimate of the corrected plan is the
     larger of two numbers: the error estimate of `plan`, and the relative difference between the
     energy of the simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5).

@@ -14,7 +14,7 @@ power | (h / h_r)^exponent | Justus and Mikhail (1976)
 logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
 with h the vehicle's height above the ground: z, or over terrain the height over a smooth surface
-that is nowhere below the ground (see the module `model.ground`). Below the larger of 0.1 m and z_0,
+that is nowhere below the ground (see `model.ground`). Below the larger of 0.1 m and z_0,
 where neither law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest
 height. The maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest
 height or higher. A wind measured over heights is a cubic spline through the measurements between

@@ -445,8 +445,8 @@ def read_declarations(
         Static variable of the model that becomes the end of the horizon.
     times : mapping, optional
         Free times, which the solve determines: declared time (a member of the continuous set) ->
-        static variable that gives the physical time. See the argument `times` of the class
-        `Problem`.
+        static variable that gives the physical time. The argument `times` of the class
+        `Problem` sets it.
 
     Returns
     -------
