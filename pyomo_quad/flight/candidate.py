@@ -555,8 +555,9 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        This is the case if the solve converged but its simulated flight is not verified (see `is_astray`), and if the scenario requires an accuracy below the highest level,
-        `proof`. At the highest level, limits are not made stricter, because this costs energy.
+        This is the case if the solve converged but its simulated flight is not verified (see
+        `is_astray`), and if the scenario requires an accuracy below the highest level, `proof`. At
+        the highest level, limits are not made stricter, because this costs energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 

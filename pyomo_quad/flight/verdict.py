@@ -125,9 +125,10 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls (see `flight.tracking`). Without this correction, the controls of a solution on a coarse mesh
-    would miss the goal. If the corrected flight breaks limits, the corrections are computed again:
-    they then anticipate the deviations of that flight, and lead the vehicle along a path that is
+    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls (see
+    `flight.tracking`). Without this correction, the controls of a solution on a coarse mesh would
+    miss the goal. If the corrected flight breaks limits, the corrections are computed again: they
+    then anticipate the deviations of that flight, and lead the vehicle along a path that is
     displaced out of the zones that the flight entered (see `flight.displacement`).
 
     Parameters
@@ -314,14 +315,15 @@ def _followed(
     """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
 
     `plan` is the plan before the correction. The corrected plan has the states, controls and energy
-    of a simulated flight that follows the path of `plan` under feedback (see `flight.tracking`). If the vehicle cannot follow this path, the result is `plan`, unchanged.
-    `least_energy` is the energy of the optimum [J]. The error estimate of the corrected plan is the
-    larger of two numbers: the error estimate of `plan`, and the relative difference between the
-    energy of the simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5).
-    `displacement` pushes the path that the vehicle follows out of zones. `previous` has the states
-    and controls of an earlier flight along the path, or is None; the corrections anticipate the
-    deviations of this earlier flight. `rests` has the start and end times [s] of the hovers in
-    which the vehicle is to be at rest.
+    of a simulated flight that follows the path of `plan` under feedback (see `flight.tracking`). If
+    the vehicle cannot follow this path, the result is `plan`, unchanged. `least_energy` is the
+    energy of the optimum [J]. The error estimate of the corrected plan is the larger of two
+    numbers: the error estimate of `plan`, and the relative difference between the energy of the
+    simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5). `displacement` pushes
+    the path that the vehicle follows out of zones. `previous` has the states and controls of an
+    earlier flight along the path, or is None; the corrections anticipate the deviations of this
+    earlier flight. `rests` has the start and end times [s] of the hovers in which the vehicle is to
+    be at rest.
     """
     followed = tracked(plan.dynamics, plan.trajectories, displacement, previous, rests)
     if followed is None:

@@ -119,7 +119,8 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
         parameters of block `start`; the flight ends in steady hover, tilted against the wind; the
         mutable parameter `aerodynamics.unexplained` adds a horizontal acceleration (zero unless the
         planner in flight sets it to the difference between observed and modelled acceleration); and
-        the limits are soft, that is a flight may violate them at a penalty; see `model.soft_limits`.
+        the limits are soft, that is a flight may violate them at a penalty
+        (see `model.soft_limits`).
 
     Examples
     --------
