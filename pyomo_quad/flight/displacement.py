@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.flight import POSITION_STATES, spans_where
 from pyomo_quad.flight.references import quintic_progress
 
 if TYPE_CHECKING:
@@ -113,14 +113,11 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
         span. Its vector is the shortest way out of the zone from the place where the flight is
         deepest inside, made a little longer.
     """
-    columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     found: list[Push] = []
     for name, depth in _depths(dynamics, flown).items():
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], (depth > 0.0).astype(int), [0]])))
-        for first, after in zip(edges[::2], edges[1::2], strict=True):
+        for first, after in spans_where(depth > 0.0):
             deepest = first + int(np.argmax(depth[first:after]))
-            one = _part(flown, slice(deepest, deepest + 1))
-            slope = np.array([_slope(dynamics, one, name, column) for column in columns])
+            slope = _slope(dynamics, flown, deepest, name)
             steepness = float(np.linalg.norm(slope))
             if steepness > 0.0:
                 length = _MORE * float(depth[deepest]) / steepness + _LEAST_M
@@ -156,29 +153,25 @@ def _depths(dynamics: Dynamics, flown: Flown) -> dict[str, FloatArray]:
     }
 
 
-def _part(flown: Flown, chosen: slice) -> Flown:
-    """Return the samples of the flight `flown` that the slice `chosen` selects."""
-    return replace(
-        flown,
-        t=flown.t[chosen],
-        states=flown.states[chosen],
-        controls=flown.controls[chosen],
-        energy=flown.energy[chosen],
-    )
+def _slope(dynamics: Dynamics, flown: Flown, sample: int, name: str) -> FloatArray:
+    """Return the gradient of the depth inside a zone with respect to x, y and z, shape (3,).
 
-
-def _slope(dynamics: Dynamics, one: Flown, name: str, column: int) -> float:
-    """Return the derivative of the depth inside a zone with respect to one coordinate.
-
-    The derivatives with respect to x, y and z together give the direction out of the zone.
-    `dynamics` has the equations of the vehicle and a path constraint for each zone. `name` is the
-    name of the constraint of the zone in question. `one` is the sample of a flight at which the
-    derivative is taken, and `column` the index of the coordinate among the states. The result has
-    the unit of the constraint per metre.
+    The gradient points deeper into the zone. `dynamics` has the equations of the vehicle and a path
+    constraint for each zone; `name` is the name of the constraint of the zone in question. `sample`
+    is the index of the sample of the flight `flown` at which the gradient is taken, by central
+    differences. The result has the unit of the constraint per metre.
     """
-    depths = []
-    for step in (-_STEP_M, _STEP_M):
-        states = one.states.copy()
-        states[:, column] += step
-        depths.append(float(_depths(dynamics, replace(one, states=states))[name][0]))
-    return (depths[1] - depths[0]) / (2.0 * _STEP_M)
+    columns = [dynamics.state_names.index(state) for state in POSITION_STATES]
+    rows = np.full(2 * len(columns), sample)
+    states = flown.states[rows]
+    for k, column in enumerate(columns):
+        states[2 * k : 2 * k + 2, column] += (-_STEP_M, _STEP_M)
+    near = replace(
+        flown,
+        t=flown.t[rows],
+        states=states,
+        controls=flown.controls[rows],
+        energy=flown.energy[rows],
+    )
+    before, beyond = _depths(dynamics, near)[name].reshape(-1, 2).T
+    return np.asarray((beyond - before) / (2.0 * _STEP_M))

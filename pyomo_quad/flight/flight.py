@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import pandas as pd
+    from numpy.typing import NDArray
 
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics, Violation
@@ -231,6 +232,16 @@ class Flight(Summarised):
                 dynamics, breaches, allowed or {}, FIGURES[accuracy].breach
             ),
         )
+
+
+def spans_where(is_inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Return the spans of consecutive samples for which a condition is true.
+
+    `is_inside` has a truth value for each sample of a flight. Each span is the index of its first
+    sample, and the index after its last sample.
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], is_inside.astype(int), [0]]))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
 
 
 def broken_limits(

@@ -19,9 +19,10 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from pyomo_quad.flight.flight import spans_where
 from pyomo_quad.flight.limit_words import excess
 from pyomo_quad.flight.verdict import energy_of
-from pyomo_quad.flight.verification import tolerated
+from pyomo_quad.flight.verification import beyond, tolerated
 from pyomo_quad.scenario.accuracy import USABLE
 
 if TYPE_CHECKING:
@@ -207,7 +208,7 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
         return ()
     flown = plan.flown
     found = plan.dynamics.violations(flown.t, flown.states, flown.controls)
-    return tuple(breach for breach in found if breach.size > tolerated(breach, figures))
+    return beyond(found, figures)
 
 
 def _helps(breach: Violation, figures: Figures) -> bool:
@@ -356,9 +357,7 @@ def _windows(
     for limit in dynamics.limits_of(instants):
         if not limit.name.startswith(_CORNERS):
             continue
-        is_beyond = limit.relative_violations > allowed
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], is_beyond.astype(int), [0]])))
-        for first, after in zip(edges[::2], edges[1::2], strict=True):
+        for first, after in spans_where(limit.relative_violations > allowed):
             start = float(flown.t[max(first - 1, 0)])
             end = float(flown.t[min(after, len(flown.t) - 1)])
             found.append((start - (end - start), end + (end - start)))

@@ -53,15 +53,15 @@ _DEVIATIONS = {
     "rigid_body.r": 1.0,
 }
 _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
+# Deviation of the rate of the yaw angle [rad/s], and of a velocity during a hover at a waypoint
+# [m/s], that the regulator weighs like the deviations above. The limit on that velocity is 0.1 m/s.
+_TURNING, _AT_REST = 3e-3, 0.02
+# Roll and yaw angle, and the body rates about the pitch and yaw axes.
+_ROLL, _YAW, _Q, _R = "rigid_body.phi", "rigid_body.psi", "rigid_body.q", "rigid_body.r"
+# Parameter of missions that keep the yaw angle.
+_KEPT_HEADING = "mission.turning_max"
 # Difference below which two times are equal [s].
 _SAME_S = 1e-9
-# Roll and yaw angle, body rates about the other two axes; deviation of the rate of the yaw angle
-# [rad/s] that the regulator weighs like the deviations above, and the parameter of missions that
-# keep this angle.
-_ROLL, _YAW, _Q, _R = "rigid_body.phi", "rigid_body.psi", "rigid_body.q", "rigid_body.r"
-# Deviation of a velocity during a hover at a waypoint [m/s], whose limit is 0.1 m/s.
-_AT_REST = 0.02
-_TURNING, _KEPT_HEADING = 3e-3, "mission.turning_max"
 # Correction of a rotor's acceleration that the regulator weighs like the deviations above
 # [rad/s^2]; and factor on the weights of the states at the end, where the vehicle must be at its
 # goal.
@@ -137,8 +137,8 @@ def tracked(
     disturbances = regulator.driven_by(aside)
     if previous is not None:
         disturbances += _disturbances(path, regulator, previous)
-    regulator = replace(regulator, commands=_anticipating(regulator, disturbances))
-    flown = _followed(dynamics, replace(path, states=path.states + aside), regulator)
+    commands = _anticipating(regulator, disturbances)
+    flown = _followed(dynamics, replace(path, states=path.states + aside), regulator, commands)
     if flown is None:
         return None
     joint, controls = flown
@@ -202,9 +202,6 @@ class _Regulator:
     inverses : ndarray, shape (n, n_controls, n_controls)
         Inverses of the Hessian of the cost with respect to the correction of the controls,
         (h R + G^T P G)^-1 of eq. (4).
-    commands : ndarray, shape (n, n_controls)
-        Corrections of the controls that anticipate known disturbances, eq. (7); 0 without known
-        disturbances.
     """
 
     transitions: FloatArray
@@ -212,7 +209,6 @@ class _Regulator:
     gains: FloatArray
     values: FloatArray
     inverses: FloatArray
-    commands: FloatArray
 
     def driven_by(self, aside: FloatArray) -> FloatArray:
         """Return the disturbances of the regulated system that a displacement of the path causes.
@@ -285,7 +281,7 @@ def _regulator(
     borders: FloatArray,
     rests: Sequence[tuple[float, float]] = (),
 ) -> _Regulator:
-    """Return the linear-quadratic regulator for the elements of a mesh, without known disturbances.
+    """Return the linear-quadratic regulator for the elements of a mesh.
 
     Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation of the equations
     `dynamics` about the solution `coarse`. `borders` has the times of the element boundaries [s],
@@ -333,7 +329,6 @@ def _regulator(
         gains=gains,
         values=values,
         inverses=inverses,
-        commands=np.zeros((len(steps), n_controls)),
     )
 
 
@@ -360,11 +355,11 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray:
     """Return the corrections of the controls that anticipate disturbances known in advance.
 
-    `regulator` is the regulator without these corrections. `disturbances` has the known change of
-    the states in each element, shape (n_elements, n_states). The result has the shape (n_elements,
-    n_controls). Implements docs/theory/tracking.md, eq. (7).
+    `regulator` has the linearised equations and the feedback. `disturbances` has the known changes
+    of the states in each element, shape (n_elements, n_states). The result has the shape
+    (n_elements, n_controls). Implements docs/theory/tracking.md, eq. (7).
     """
-    commands = np.zeros_like(regulator.commands)
+    commands = np.zeros(regulator.gains.shape[:2])
     ahead = np.zeros(disturbances.shape[1])
     for k in reversed(range(len(commands))):
         F, G, K = regulator.transitions[k], regulator.driven[k], regulator.gains[k]
@@ -412,12 +407,13 @@ def _limited(rates: Rates) -> Rates:
 
 
 def _followed(
-    dynamics: Dynamics, path: _Path, regulator: _Regulator
+    dynamics: Dynamics, path: _Path, regulator: _Regulator, commands: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    `dynamics` has the equations of the vehicle, and `regulator` computes the correction of the
-    controls of `path` in each element. Implements docs/theory/tracking.md, eq. (1).
+    `dynamics` has the equations of the vehicle. In each element, the correction of the controls of
+    `path` is the feedback of `regulator` plus the entry of `commands`, shape (n_elements,
+    n_controls), which anticipates known disturbances. Implements docs/theory/tracking.md, eq. (1).
 
     Returns
     -------
@@ -436,7 +432,7 @@ def _followed(
     nodes = [state[:, None]]
     for e, (first, last) in enumerate(pairwise(path.borders.tolist())):
         own = slice(mesh.first_node[e], mesh.first_node[e + 1])
-        correction = regulator.commands[e] - regulator.gains[e] @ (state[:-1] - path.states[e])
+        correction = commands[e] - regulator.gains[e] @ (state[:-1] - path.states[e])
         controls[own] = np.clip(controls[own] + correction, *limits)
         polynomial = control_polynomial(mesh, controls, e, first, last, held)
         flown = integrate(

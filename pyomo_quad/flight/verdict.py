@@ -41,12 +41,9 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
 
-# Violation of a limit by the path of a solution, relative to the larger of 1 and the limit, above
-# which the controls are not simulated.
-_FLOWN = 1.5
-# Largest number of simulated flights in which the corrections of the controls are improved, and
-# violation above which they are not improved further.
-_MOST_FLIGHTS, _HOPELESS = 4, 1.5
+# Violation of a limit, relative to the larger of 1 and the limit, above which corrections of the
+# controls are not tried; and largest number of simulated flights in which they are improved.
+_HOPELESS, _MOST_FLIGHTS = 1.5, 4
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
@@ -159,10 +156,10 @@ def verified(
     try:
         if asked is not Accuracy.PROOF:
             verification, flown = _as_planned(plan, asked, wanted)
-        # No simulation is needed if the planned path itself cuts through zones.
+        # No simulation is needed if the planned path itself is far beyond a limit.
         if asked is Accuracy.PROOF or not can_be_tracked(plan.dynamics):
             verification, flown = _flown(plan, asked, wanted)
-        elif verification.max_violation <= _FLOWN:
+        elif verification.max_violation <= _HOPELESS:
             least = plan.energy if least_energy is None else least_energy
             plan, verification, flown = _corrected(plan, asked, wanted, least, is_rough=is_rough)
     except SolveError as error:
@@ -233,14 +230,16 @@ def _corrected(
             break
         found.append((followed, verification, path))
         is_enough = verification.is_verified or (is_rough and verification.is_usable)
-        pushes = pushes_out(plan.dynamics, path)
-        is_repeated = previous is not None and not pushes
-        if moves_in_hovers(plan.dynamics, path, FIGURES[accuracy].breach) and not rests:
-            begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
-            rests, is_repeated = [(start, start + w.hold) for w, start in begun if w.hold], False
         is_hopeless = verification.max_violation > _HOPELESS or followed is plan
-        if is_enough or is_repeated or is_hopeless:
+        if is_enough or is_hopeless:
             break
+        pushes = pushes_out(plan.dynamics, path)
+        is_restless = not rests and moves_in_hovers(plan.dynamics, path, FIGURES[accuracy].breach)
+        if previous is not None and not pushes and not is_restless:
+            break
+        if is_restless:
+            begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
+            rests = [(start, start + w.hold) for w, start in begun if w.hold]
         displacement, previous = (*displacement, *pushes), followed.trajectories
     usable = [one for one in found if one[1].reached or one[1].is_usable]
     if not usable:

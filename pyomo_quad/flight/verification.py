@@ -25,7 +25,7 @@ from pyomo_quad.model.wind_field import unknown_wind
 from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy, Figures
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.scenario import Scenario
@@ -537,7 +537,7 @@ def compared(
     passing = tuple(_passing_miss(dynamics, flown, passage) for passage in passages)
     found = _Found(
         miss=max(relative[worst_miss], *passing, 0.0),
-        breaches=tuple(b for b in breaches if b.size > 0.0),
+        breaches=breaches,
         energy=abs(flown_energy - energy) / max(1.0, abs(energy)),
         lacking=max(imbalance, lacking),
     )
@@ -552,9 +552,7 @@ def compared(
         flown_energy_J=flown_energy,
         is_verified=reached is accuracy,
         broken_limits=tuple(
-            breach_words(b, dynamics.unit(b.name))
-            for b in breaches
-            if b.size > tolerated(b, figures)
+            breach_words(b, dynamics.unit(b.name)) for b in beyond(breaches, figures)
         ),
         passing_misses_m=passing,
         battery_imbalance=imbalance,
@@ -585,6 +583,15 @@ def tolerated(breach: Violation, figures: Figures) -> float:
         return figures.turning
     by_size = figures.breach * max(1.0, abs(breach.bound))
     return min(by_size, figures.intrusion) if is_of_airspace(breach) else by_size
+
+
+def beyond(breaches: Iterable[Violation], figures: Figures) -> tuple[Violation, ...]:
+    """Return those violations of limits that exceed the tolerances of an accuracy level.
+
+    `breaches` has violations of different limits, and `figures` has the tolerances. The order of
+    the violations is kept.
+    """
+    return tuple(breach for breach in breaches if breach.size > tolerated(breach, figures))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -619,7 +626,7 @@ class _Found:
         """
         return bool(
             self.miss <= figures.miss
-            and all(breach.size <= tolerated(breach, figures) for breach in self.breaches)
+            and not beyond(self.breaches, figures)
             and self.energy <= figures.energy
             and self.lacking <= BALANCE_TOLERANCE
         )

@@ -612,7 +612,7 @@ class ModelReader:
     def _determined_without_rates(
         self, states: list[Slot], read: list[frozenset[str]]
     ) -> frozenset[str]:
-        """Return the names of what equations without time derivatives determine.
+        """Return the names of the variables that equations without time derivatives determine.
 
         These are states and derivatives in space. A state in the result needs no differential
         equation; an example is the boundary value of a variable that is discretised in space. The

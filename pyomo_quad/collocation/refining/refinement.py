@@ -192,12 +192,8 @@ class _Refinement(Generic[S]):
         refinement ends, and None if it continues.
         """
         errors = self._errors(known)
-        error = max(e.largest for e in errors)
-        self.records.append(_record(known, error))
-        history = tuple(self.records)
         # Ipopt converged, even if an earlier refinement ended above its tolerance.
-        done = {"status": Status.CONVERGED, "error_estimate": error, "history": history}
-        solution = self._shown(known.updated(**done))
+        solution = self._recorded(known, errors, status=Status.CONVERGED)
         return self._advanced(solution, errors) if solution.status is Status.CONVERGED else solution
 
     def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:
@@ -240,12 +236,21 @@ class _Refinement(Generic[S]):
         solved = first_success(Scope.MESH, search)
         self.dampings = search.dampings
         solved, errors = self._measured(solved)
+        self.tried.extend(solved.tried)
+        solution = self._recorded(solved, errors, tried=tuple(self.tried))
+        return solution, errors, solved.status.has_failed
+
+    def _recorded(self, solved: S, errors: tuple[ErrorEstimate, ...], **more: Any) -> S:
+        """Add a solution to the history of the refinement, and pass it to the caller's callback.
+
+        `errors` has the estimated errors of the solution, one for each horizon. The result is the
+        solution with its largest error, the history, and the attributes in `more`.
+        """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
-        self.tried.extend(solved.tried)
-        done = {"history": tuple(self.records), "tried": tuple(self.tried)}
-        solution = solved.updated(error_estimate=error, **done)
-        return self._shown(solution), errors, solved.status.has_failed
+        return self._shown(
+            solved.updated(error_estimate=error, history=tuple(self.records), **more)
+        )
 
     def _restarted(self, accepted: S) -> S | None:
         """Restart the refinement if controls exist that are better by Pontryagin's principle.
