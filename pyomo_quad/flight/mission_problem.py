@@ -29,7 +29,7 @@ from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.stricter_limits import within_limits
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
 from pyomo_quad.model.power import wider_smoothings
-from pyomo_quad.scenario.accuracy import FIGURES, USABLE, USABLE_ENERGY, Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -51,8 +51,8 @@ _ESTIMATED = 0.5
 # tolerance on it, up to which feedback and stricter limits make a solution flyable
 # (measured: docs/decisions/speed.md).
 _FOLLOWED, _CUT = 20.0, 20.0
-# Largest number of meshes on which a usable plan along a first route is sought.
-_MESHES_TO_USABLE = 3
+# Error estimate of a first mesh above which its solution is not flown: the flight would fail.
+_COARSE = 0.1
 
 
 class MissionProblem:
@@ -347,36 +347,6 @@ class MissionProblem:
         start, end = held.horizon
         return power * (end - start)
 
-    def until_usable(self, flown: Solution) -> Solution:
-        """Refine the mesh of a coarse solution until a usable plan is found.
-
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        attribute `search` (progress callback of the solves) stores the usable plan. No finer mesh
-        is solved if there is no `search`, or if it has a usable plan already. The refinement also
-        ends after a fixed number of meshes.
-
-        Parameters
-        ----------
-        flown : Solution
-            Converged solution on one coarse mesh.
-
-        Returns
-        -------
-        Solution
-            The converged solution on the last mesh; ``flown`` if no finer mesh was solved.
-        """
-        search, solved = self.search, [flown]
-        if search is None or search.usable is not None:
-            return flown
-
-        def is_needed(finished: Solution) -> bool:
-            solved.append(finished)
-            self.keep_usable(finished)
-            return search.usable is None
-
-        self.go_on(flown, max_meshes=_MESHES_TO_USABLE, on_mesh=is_needed)
-        return solved[-1]
-
     def go_on(self, flown: Solution, **changed: Any) -> Solution:
         """Continue the mesh refinement from a converged solution, without a new solve on its mesh.
 
@@ -419,7 +389,7 @@ class MissionProblem:
             yield plan
             yield from within_limits(self, finished, plan, USABLE, fly)
 
-        is_coarse = len(finished.history) == 1 and finished.error_estimate > USABLE_ENERGY
+        is_coarse = len(finished.history) == 1 and finished.error_estimate > _COARSE
         is_patient = self.told.solver.accuracy is Accuracy.PROOF
         search.finished(
             energy_of(self.told, finished),

@@ -14,6 +14,7 @@ from functools import partial
 from pyomo_quad.collocation import Progress, WarmStart
 from pyomo_quad.flight.candidate import Candidate, Start
 from pyomo_quad.flight.deadline import Deadline
+from pyomo_quad.flight.geometric_plan import geometric_plan
 from pyomo_quad.flight.least_time import Approach, shortest_flight
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import Plan, PlanStatus
@@ -135,6 +136,7 @@ class Planner(Problems):
 
     def _solve(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         mission = MissionProblem(self, scenario.as_forecast(), search)
+        search.begin_with(partial(geometric_plan, mission))
         candidate = Candidate(scenario=scenario, mission=mission, search=search, start=start)
         carry_out(MISSION, candidate, search)
         return candidate.plan

@@ -43,9 +43,6 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
-# Iterations times points of the first route's solve above which a search is so long that a usable
-# plan is sought before other routes are solved.
-_LONG = 2_500
 # Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
 # Factor on `_NEAR_ON_FIRST` where accuracy `proof` is not requested: energies on one mesh have
@@ -75,8 +72,6 @@ class RouteFlights:
         solver = self._scenario.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
         self._is_plain, self._tolerance = False, solver.tolerance
-        # Solutions that were refined before the routes were compared, by number of the journey.
-        self._begun: dict[int, Solution] = {}
         if self._scenario.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
             self._is_pruned = True
@@ -131,7 +126,6 @@ class RouteFlights:
                 dominant.append(sides_touched(self._scenario, journey, solution))
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
-                self._begin(len(flown) - 1, solution)
         known = dict(enumerate(solution for _, solution in flown))
         near = self._near(known)
         refined = self._refined(known, near)
@@ -167,45 +161,15 @@ class RouteFlights:
             Numbers of the journeys whose cost is near the least, the cheapest first.
         """
         near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
-        improved = {k: self._begun[k] for k in near if k in self._begun}
-        known |= improved
         if len(near) < 2:
             return near
-        improved |= {k: self.refine(known[k], _TO_THE_NEXT) for k in near if k not in improved}
+        improved = {k: self.refine(known[k], _TO_THE_NEXT) for k in near}
         known |= {k: s for k, s in improved.items() if s.status.is_solved}
         for k in sorted(near, reverse=True):
             if any(_is_same(known[k], known[j]) for j in near if j < k):
                 del known[k]
         compared = {k: s for k, s in known.items() if k in near}
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
-
-    def _begin(self, number: int, solution: Solution) -> None:
-        """Refine a solution until it gives a usable plan, if no solution was refined before.
-
-        The method is called after the solve along each journey (a route for each leg of the
-        mission), the shortest journey first. It makes a usable plan early, before the solves along
-        the other journeys. A usable plan is a plan that simulation confirms at lower accuracy than
-        requested; it is the result if the user stops the search. The refined solution is stored,
-        because the solution along the shortest journey is often needed later too. Nothing is done
-        after a failed solve, after a solve that took little work, without regeneration (whose
-        problem is solved by way of easier ones), if the scenario allows no mesh refinement, or if
-        it requires the highest accuracy, `proof`.
-
-        Parameters
-        ----------
-        number : int
-            Number of the journey.
-        solution : Solution
-            Solution along this journey on one coarse mesh.
-        """
-        is_first = not self._begun and self._is_pruned and not self._mission.easier
-        if not is_first or not solution.status.is_solved:
-            return
-        is_long = len(solution.iterations) * solution.mesh.points > _LONG
-        if is_long and self._scenario.solver.max_refinements > 0:
-            refined = self._mission.until_usable(solution)
-            if refined is not solution:
-                self._begun[number] = refined
 
     def _most(self, most: int, error: float) -> int:
         """Return how many of the cheapest journeys are to be solved on a finer mesh, at most.

@@ -15,7 +15,6 @@ from math import inf, isfinite
 from typing import TYPE_CHECKING
 
 from pyomo_quad.flight.plan import LEAST_ENERGY_J, PlanStatus
-from pyomo_quad.scenario.accuracy import USABLE_ENERGY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -24,11 +23,12 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.deadline import Deadline
     from pyomo_quad.flight.plan import Plan
 
-# Work of a search (the sum over Ipopt's iterations of the number of mesh points) before it computes
-# usable plans, about two seconds of a processor; and the largest fractions of its work that it
-# spends on simulating the controls of finished meshes: before it has a usable plan, and afterwards,
-# to find a better usable plan.
-_PATIENCE, _SHARE, _SHARE_FOR_BETTER = 1.2e4, 0.3, 0.05
+# Work of a search (the sum over Ipopt's iterations of the number of mesh points): before it makes
+# the first plan, about half a second of a processor; and before it computes usable plans at the
+# highest accuracy, about two seconds. Largest fractions of its work that it spends on simulating
+# the controls of finished meshes: before it has a usable plan from a solution, and afterwards, to
+# find a better usable plan.
+_PROMPT, _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 3e3, 1.2e4, 0.3, 0.05
 # Correcting the controls of a mesh and simulating them counts as the work of this number of
 # iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 20
@@ -117,6 +117,7 @@ class Search:
         self.stage = Stage.COARSE
         self.record: list[str] = []
         self.usable: Plan | None = None
+        self._make_first: Callable[[], Plan | None] | None = None
         self.work = self._patient_from = self._work_of_flights = 0
         self.begin_effort(inf)
         self._show = show
@@ -148,6 +149,27 @@ class Search:
         """
         return self.work - self._patient_from < _PATIENCE
 
+    def begin_with(self, make_first: Callable[[], Plan | None]) -> None:
+        """Set the function that makes the first usable plan, if the search takes long.
+
+        Most searches end soon by themselves, and need no plan before. The function is called once,
+        between two iterations of Ipopt, when the search has taken about half a second and has no
+        usable plan yet. It returns a plan that was simulated, or None. A usable plan is a plan that
+        simulation confirms at lower accuracy than requested.
+        """
+        self._make_first = make_first
+
+    def _begin(self) -> None:
+        """Make the first plan, and store it if it is usable; see `begin_with`."""
+        make, self._make_first = self._make_first, None
+        if make is None or self.usable is not None:
+            return
+        stage, self.stage = self.stage, Stage.USABLE
+        plan = make()
+        if plan is not None:
+            self.keep(plan)
+        self.stage = stage
+
     def restart_patience(self) -> None:
         """Make no usable plans during the next solves, as during the first solves of the search.
 
@@ -173,6 +195,8 @@ class Search:
         the solves cost more than the limit of `begin_effort` allows.
         """
         self.work += iteration.mesh_points
+        if self.work - self._patient_from > _PROMPT and not self.deadline.is_over:
+            self._begin()
         if self._show is not None:
             self._show(
                 State(
@@ -218,7 +242,7 @@ class Search:
             is noted for the progress display, and nothing else is done.
         """
         self._note(energy_J)
-        share = _SHARE if self.usable is None else _SHARE_FOR_BETTER
+        share = _SHARE_FOR_BETTER if self._has_optimised else _SHARE
         if is_early or self._work_of_flights > share * self.work or self.deadline.is_over:
             return
         before, stage = self.usable, self.stage
@@ -226,25 +250,40 @@ class Search:
         for plan in islice(flown(), _MOST_PLANS):
             self.keep(plan)
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * points
-            if before is not None or self.usable is not None:
+            if before is not self.usable or self._has_optimised:
                 break
         self.stage = stage
+
+    @property
+    def _has_optimised(self) -> bool:
+        """Whether the best usable plan was made from a solution, not from a route alone."""
+        return self.usable is not None and bool(self.usable.history)
 
     def _note(self, energy_J: float) -> None:
         if isfinite(self._energy):
             self._uncertainty = abs(energy_J - self._energy) / max(abs(energy_J), LEAST_ENERGY_J)
         self._energy = energy_J
+        if self.usable is not None and not self._has_optimised:
+            # The solution is a better estimate of the optimum than steady flight is.
+            saving = 1.0 - energy_J / max(self.usable.energy, LEAST_ENERGY_J)
+            self.usable = replace(self.usable, error_estimate=max(0.0, saving))
 
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        better of two plans is the plan with the smaller uncertainty of the energy.
+        better of two plans made from solutions is the plan with the smaller uncertainty of the
+        energy. Of two plans of which one was made from a route alone, the cheaper plan is better.
         """
-        found = as_usable(plan)
+        found, kept = as_usable(plan), self.usable
         if not found.is_flyable:
             return
-        if self.usable is None or found.energy_uncertainty <= self.usable.energy_uncertainty:
+        if kept is None:
+            self.usable = found
+        elif found.history and kept.history:
+            if found.energy_uncertainty <= kept.energy_uncertainty:
+                self.usable = found
+        elif found.cost <= kept.cost:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
@@ -295,12 +334,12 @@ def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
     Other plans are returned unchanged. The condition is that the simulated flight is within the
-    tolerances of a usable plan, and that a better plan may save at most a tenth of the energy.
+    tolerances of a usable plan, and that the saving by a better plan can be estimated.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
     found = plan.verification
-    if found is None or not found.is_usable or not plan.energy_uncertainty <= USABLE_ENERGY:
+    if found is None or not found.is_usable or not isfinite(plan.energy_uncertainty):
         return plan
     why = plan.message.rstrip(".; ")
     usable = replace(plan, status=PlanStatus.USABLE)

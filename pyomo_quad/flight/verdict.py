@@ -223,7 +223,8 @@ def _corrected(
     while len(found) < _MOST_FLIGHTS:
         try:
             followed = _followed(plan, least_energy, displacement, previous, rests)
-            verification, path = _as_planned(followed, accuracy, wanted)
+            goal = _attainable(followed, wanted)
+            verification, path = _as_planned(followed, accuracy, goal)
         except SolveError:
             if not found:
                 raise
@@ -244,7 +245,19 @@ def _corrected(
     usable = [one for one in found if one[1].reached or one[1].is_usable]
     if not usable:
         return found[-1]
-    return usable[-1][0], *_flown(usable[-1][0], accuracy, wanted)
+    corrected = usable[-1][0]
+    return corrected, *_flown(corrected, accuracy, _attainable(corrected, wanted))
+
+
+def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
+    """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
+
+    They are the states `wanted`, except for states that a flight uses up, such as the charge drawn
+    from the battery. The mission does not prescribe their final values: they are those of `plan`.
+    """
+    used = set(plan.dynamics.states_used_up)
+    is_used = np.array([name in used for name in plan.dynamics.state_names])
+    return np.where(is_used, plan.trajectories.states[-1], wanted)
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
@@ -343,11 +356,11 @@ def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Ver
     `accuracy` sets the tolerances, and `wanted` has the final states that the path should reach,
     shape (n_states,). The result is the comparison, and samples of the path.
     """
-    path = _path_of(plan, accuracy)
+    path = path_of(plan, accuracy)
     return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path
 
 
-def _path_of(plan: Plan, accuracy: Accuracy) -> Flown:
+def path_of(plan: Plan, accuracy: Accuracy) -> Flown:
     """Return samples of the planned path, as if the vehicle flew the path exactly.
 
     They serve to check limits without a simulation. `accuracy` sets the spacing of the samples near

@@ -109,6 +109,3 @@ FIGURES: Mapping[Accuracy, Figures] = MappingProxyType(
 #: Tolerances of a usable plan. It may end half a metre from the goal, and turn the heading at up to
 #: 6 degrees a second for a moment: feedback in flight corrects both.
 USABLE = replace(FIGURES[Accuracy.QUICK], miss=0.5, turning=0.1)
-#: Largest fraction of the energy of a usable plan that a better plan may save: a flyable trajectory
-#: near a coarse optimum spends a few per cent more than the optimum.
-USABLE_ENERGY = 0.1

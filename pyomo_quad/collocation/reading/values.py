@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -201,11 +202,21 @@ class ModelValues:
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
+        is_stepwise, members = self._declared.clock.is_free, self._source.times
+        rows: dict[int, list[float]] = {}
+
+        def scheduled(time: float) -> list[float]:
+            return [number for said in self._source.schedules for number in said.row(time)]
 
         def at(fraction: float) -> list[float]:
             time = start + (end - start) * one_sided(fraction, instance.jumps)
-            scheduled = (number for said in self._source.schedules for number in said.row(time))
-            return [*(signal(time) for signal in found), *scheduled]
+            if not is_stepwise:
+                return [*(signal(time) for signal in found), *scheduled(time)]
+            # With free times, the results of rules change at declared times only.
+            interval = bisect_left(members, time)
+            if interval not in rows:
+                rows[interval] = scheduled(time)
+            return [*(signal(time) for signal in found), *rows[interval]]
 
         return at
 

@@ -1,0 +1,334 @@
+"""First plan of a mission: a flight along its shortest route, without an optimisation.
+
+The vehicle flies along the lines of the route, smoothed at corners, at a speed that steady flight
+suggests. Attitude and rotor speeds follow from the acceleration of this path (differential
+flatness). A simulation under feedback then turns the path into a flight that satisfies the
+equations of motion. The plan spends more energy than the optimum, but it is available before the
+first solve has ended. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to (7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import ceil, inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pyomo_quad.collocation import Mesh, SolveError
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.flight.long_flight import best_speed
+from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.references import quintic_progress
+from pyomo_quad.flight.routes import NoRouteError, find_journeys
+from pyomo_quad.flight.smoothed_route import Pace, SmoothPath, Stop, smoothed
+from pyomo_quad.flight.steady import PITCH, ROLL
+from pyomo_quad.flight.verdict import path_of, plan_of, verified
+from pyomo_quad.flight.verification import is_of_airspace
+from pyomo_quad.scenario.accuracy import Accuracy
+
+if TYPE_CHECKING:
+    from pyomo_quad.arrays import FloatArray
+    from pyomo_quad.collocation import Dynamics, Solution, Violation
+    from pyomo_quad.flight.mission_problem import MissionProblem
+    from pyomo_quad.flight.plan import Plan
+    from pyomo_quad.flight.routes import Journey
+    from pyomo_quad.flight.steady import SteadyFlight
+    from pyomo_quad.scenario import Scenario
+
+# Paths that are tried: greatest acceleration [m/s^2], and fraction of the cheapest speed. With a
+# fixed duration the speed follows from the duration, and a larger acceleration allows a lower
+# speed.
+_PACES = ((4.0, 1.0), (2.5, 1.0), (2.5, 0.75), (1.5, 0.75), (1.0, 0.75), (1.0, 0.5), (0.6, 0.4))
+_PACES_IN_TIME = ((1.2, 1.0), (1.8, 1.0), (3.0, 1.0), (5.0, 1.0))
+# Greatest acceleration at corners of a path that leaves its lines by no more than some centimetres
+# [m/s^2].
+_NARROW = 0.2
+# Fraction of the mission's greatest speed that the path uses, and greatest speed without a limit
+# [m/s].
+_SHARE_OF_LIMIT, _FASTEST = 0.95, 30.0
+# Distance by which a path may enter a zone [m], so that a simulated flight is led out of it.
+_LED_OUT_M = 0.1
+# Violation of another limit, in the limit's unit, which interpolation between samples causes.
+_EXACTLY = 1e-2
+# Largest number of paths that are flown.
+_MOST_FLOWN = 2
+# Length of the elements of the plan's mesh [s], and their degree.
+_ELEMENT_S, _DEGREE = 0.4, 3
+# Times that are nearer than this to one another are one boundary of elements [s].
+_SAME_S = 1e-6
+_YAW = "rigid_body.psi"
+_P, _Q, _R = "rigid_body.p", "rigid_body.q", "rigid_body.r"
+_ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
+
+
+def geometric_plan(mission: MissionProblem) -> Plan | None:
+    """Return a plan along the shortest route of a mission, made without an optimisation.
+
+    Several paths with different speeds and accelerations are tried, the fastest first, until the
+    simulated flight along one of them keeps all limits.
+
+    Parameters
+    ----------
+    mission : MissionProblem
+        The mission, with its compiled equations.
+
+    Returns
+    -------
+    Plan or None
+        The plan with the result of its simulation; its error estimate is the relative difference
+        between its energy and that of steady flight along the route. None if there is no route, if
+        no path keeps the limits and lasts as long as the mission prescribes, if waypoints have
+        prescribed times or headings, or for a user's own model.
+    """
+    told = mission.told
+    if not mission.problems.is_declared or any(
+        waypoint.at is not None or waypoint.yaw is not None for waypoint in told.mission.waypoints
+    ):
+        return None
+    try:
+        journey = find_journeys(told.airspace, told.mission.positions)[0]
+        fastest = _fastest(told, journey, mission.steady)
+        least_energy = _energy_of_steady_flight(mission, journey, fastest)
+        return _first_usable(mission, journey, fastest, least_energy)
+    except (NoRouteError, SolveError):
+        return None
+
+
+def _first_usable(
+    mission: MissionProblem, journey: Journey, fastest: float, least_energy: float
+) -> Plan | None:
+    """Return the plan along the first path of a journey whose simulated flight keeps all limits.
+
+    A journey is a route for each leg of the mission. `fastest` is the greatest speed [m/s], and
+    `least_energy` the energy with which the plan is compared [J]. A path that only cuts zones is
+    tried again with narrow corners. If no flight keeps all limits, the result is the plan of the
+    last flight, or None if there was none.
+    """
+    found: Plan | None = None
+    flown, is_free = 0, mission.told.mission.is_free
+    for acceleration, share in _PACES if is_free else _PACES_IN_TIME:
+        for turning in (acceleration, _NARROW):
+            pace = Pace(speed=share * fastest, acceleration=acceleration, turning=turning)
+            path = _path(mission.told, journey, pace, fastest)
+            if path is None:
+                break
+            plan, solution = _along(mission, journey, path)
+            broken = _broken(plan)
+            if broken and all(is_of_airspace(breach) for breach in broken):
+                continue
+            if not broken:
+                found = verified(plan, solution, Accuracy.QUICK, least_energy, is_rough=True)
+                checked = found.verification
+                flown += 1
+                if flown == _MOST_FLOWN or (checked is not None and checked.is_usable):
+                    return found
+            break
+    return found
+
+
+def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
+    """Return the path along a journey at a pace, within the limits on the duration.
+
+    A journey is a route for each leg of the mission `told`. If the duration of the path is not
+    within the limits, a path of the nearest allowed duration is made, at a speed of at most
+    `fastest` [m/s]. The result is None if there is no such path.
+    """
+    stops, mission = _stops(told, journey), told.mission
+    least, greatest = mission.duration_limits
+    path = smoothed(stops, pace) if mission.is_free else None
+    if path is not None and least <= path.duration <= greatest:
+        return path
+    lasting = greatest if path is None else min(max(path.duration, least), greatest)
+    return smoothed(stops, replace(pace, speed=fastest), lasting)
+
+
+def _stops(told: Scenario, journey: Journey) -> list[Stop]:
+    """Return start, corners and goal of a journey, with hovers and speeds at waypoints.
+
+    A journey is a route for each leg of the mission `told`.
+    """
+    stops = [Stop(place=journey[0].places[0])]
+    for k, route in enumerate(journey):
+        stops += [Stop(place=place) for place in route.places[1:]]
+        if k < len(told.mission.waypoints):
+            waypoint = told.mission.waypoints[k]
+            stops[-1] = replace(
+                stops[-1],
+                hold=waypoint.hold or None,
+                speed_max=inf if waypoint.speed_max is None else waypoint.speed_max,
+            )
+    return stops
+
+
+def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
+    """Return the greatest speed of a path along a journey [m/s].
+
+    If the duration is free, it is the speed of least cost along the first long leg, in steady
+    flight; otherwise only the limits of the mission bound it. A journey is a route for each leg.
+    """
+    limit = told.limits.speed_max
+    greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
+    ways = [route.places[-1] - route.places[0] for route in journey]
+    longest = max(ways, key=lambda way: float(np.linalg.norm(way)))
+    length = float(np.linalg.norm(longest))
+    if not told.mission.is_free or length == 0.0:
+        return greatest
+    return min(greatest, best_speed(steady, longest / length, told.mission.price_of_time))
+
+
+def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
+    """Return an unverified plan whose vehicle is on a path, and a solution with the same times.
+
+    The path follows a journey, which is a route for each leg of the mission. The solution is not
+    converged; it gives the plan its equations, with the duration and the passing times of the path.
+    """
+    told = mission.told
+    ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
+    passings = [path.passings[end] for end in ends]
+    times = {"duration": path.duration} if told.mission.is_free else {}
+    for k, ((reached, left), waypoint) in enumerate(
+        zip(passings, told.mission.waypoints, strict=True)
+    ):
+        times[f"mission.passing_time[{k}]"] = reached
+        if waypoint.hold:
+            times[f"mission.leaving_time[{k}]"] = left
+    solution = mission.unsolved(mesh=mission.arguments["mesh"], guess=times)
+    plan = plan_of(told, solution, dict(mission.timings), mission.hover_energy(solution))
+    return (
+        replace(
+            plan,
+            trajectories=_flat(told, solution.dynamics, mission.steady, path),
+            passing_times_s=tuple(reached for reached, _ in passings),
+            error_estimate=0.0,
+            history=(),
+            iterations=(),
+            message="it follows straight lines and is not optimised",
+        ),
+        solution,
+    )
+
+
+def _broken(plan: Plan) -> tuple[Violation, ...]:
+    """Return the limits that a planned path breaks, so that it is not worth a simulation.
+
+    A simulated flight can be led out of zones that the path of `plan` cuts by a small distance. It
+    needs more thrust and tilt than the path, for feedback; the tolerances of a usable plan are left
+    to it.
+    """
+    path = path_of(plan, Accuracy.QUICK)
+    found = plan.dynamics.violations(path.t, path.states, path.controls)
+    return tuple(b for b in found if b.size > (_LED_OUT_M if is_of_airspace(b) else _EXACTLY))
+
+
+def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
+    """Return the energy of steady flight along a journey, which estimates the least energy [J].
+
+    A journey is a route for each leg of the mission. The vehicle flies along it without
+    acceleration, at the speed `fastest` [m/s] if the duration is free and otherwise at the mean
+    speed that the duration requires, and hovers for as long as the mission asks for. Implements
+    docs/theory/geometric_plan.md, eq. (7).
+
+    Raises
+    ------
+    SolveError
+        If the vehicle has no steady flight at this speed.
+    """
+    steady, told = mission.steady, mission.told.mission
+    steps = [step for route in journey for step in np.diff(route.places, axis=0)]
+    lengths = [float(np.linalg.norm(step)) for step in steps]
+    holds = sum(waypoint.hold for waypoint in told.waypoints)
+    speed = fastest
+    if not told.is_free:
+        speed = sum(lengths) / max(told.fixed_duration - holds, _SAME_S)
+    hovering = holds if sum(lengths) > 0.0 else told.fixed_duration
+    moving = sum(
+        steady.trim(step * (speed / length)).power_W * length / speed
+        for step, length in zip(steps, lengths, strict=True)
+        if length > 0.0
+    )
+    return moving + (steady.trim().power_W * hovering if hovering else 0.0)
+
+
+def _flat(
+    told: Scenario, dynamics: Dynamics, steady: SteadyFlight, path: SmoothPath
+) -> Trajectories:
+    """Return states and controls of a vehicle on a path, by differential flatness.
+
+    The thrust is the mass times the difference between the acceleration of the path and that by
+    weight and air alone; its direction and the heading determine the attitude, and its magnitude
+    the common speed of the rotors. Implements docs/theory/geometric_plan.md, eqs. (5) and (6). The
+    moments that turn the vehicle are neglected: feedback adds them in the simulation. Costates and
+    energies are zero.
+    """
+    names, mesh = dynamics.state_names, _mesh(path)
+    times = path.duration * mesh.node_fractions
+    column = {name: k for k, name in enumerate(names)}
+    place, velocity, acceleration = path.at(times)
+    states = np.tile(steady.trim().states, (len(times), 1))
+    states[:, [column[name] for name in POSITION_STATES]] = place
+    states[:, [column[name] for name in VELOCITY_STATES]] = velocity
+    rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
+    yaw = _headings(told, path, times)
+    upright = states.copy()
+    upright[:, [*rotors, column[ROLL], column[PITCH]]] = 0.0
+    none = np.zeros(len(dynamics.control_names))
+    falling = np.array(
+        [dynamics.rates(t, row, none) for t, row in zip(times.tolist(), upright, strict=True)]
+    )[:, [column[name] for name in VELOCITY_STATES]]
+    needed = acceleration - falling
+    size = np.linalg.norm(needed, axis=1)
+    ahead, aside = (
+        (needed[:, 0] * c + needed[:, 1] * s) / size
+        for c, s in ((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw)))
+    )
+    roll, pitch = -np.arcsin(aside), np.arctan2(ahead, needed[:, 2] / size)
+    speeds = steady.hover_speed * np.sqrt(size / told.gravity)
+    rolling, pitching, turning, spinning = (
+        np.gradient(row, times) for row in (roll, pitch, yaw, speeds)
+    )
+    for name, row in (
+        (ROLL, roll),
+        (PITCH, pitch),
+        (_YAW, yaw),
+        (_P, rolling - turning * np.sin(pitch)),
+        (_Q, pitching * np.cos(roll) + turning * np.sin(roll) * np.cos(pitch)),
+        (_R, turning * np.cos(roll) * np.cos(pitch) - pitching * np.sin(roll)),
+    ):
+        states[:, column[name]] = row
+    states[:, rotors] = speeds[:, None]
+    is_rotor = [name.startswith(_ROTOR_ACCELERATION) for name in dynamics.control_names]
+    return Trajectories(
+        mesh=mesh,
+        horizon=(0.0, path.duration),
+        state_names=names,
+        control_names=dynamics.control_names,
+        costate_names=names,
+        states=states,
+        controls=np.outer(spinning[1:], is_rotor),
+        energy=np.zeros(len(times)),
+        costates=np.zeros((mesh.points, len(names))),
+        hamiltonian=np.zeros(mesh.points),
+    )
+
+
+def _mesh(path: SmoothPath) -> Mesh:
+    """Return a mesh of equally long elements with boundaries at the passings of all corners."""
+    passed = np.unique([0.0, path.duration, *(t for pair in path.passings for t in pair)])
+    kept = passed[np.diff(passed, append=inf) > _SAME_S]
+    borders = [0.0]
+    for first, last in pairwise(kept.tolist()):
+        borders += np.linspace(first, last, ceil((last - first) / _ELEMENT_S) + 1)[1:].tolist()
+    fractions = np.array(borders) / path.duration
+    fractions[-1] = 1.0
+    return Mesh(breakpoints=tuple(fractions.tolist()), degrees=(_DEGREE,) * (len(fractions) - 1))
+
+
+def _headings(told: Scenario, path: SmoothPath, times: FloatArray) -> FloatArray:
+    """Return the yaw angle at n times of a path [rad], shape (n,).
+
+    It turns from the heading at the start to that at the goal, with zero rate at both ends.
+    """
+    first, last = told.mission.start.yaw, told.mission.goal.yaw
+    return first + (last - first) * quintic_progress(times / path.duration)

@@ -1,0 +1,282 @@
+"""Smooth path along a route at prescribed speeds, without an optimisation.
+
+A route consists of straight lines. A point that moves along it with bounded acceleration, slowly
+past corners, still changes its velocity suddenly at each corner. The path of this module is a
+moving average of that motion: a weighted mean of its positions over a short span of time. Velocity,
+acceleration and jerk of the mean are continuous, and none of its speeds exceeds those of the
+motion. The mean cuts corners; the corners are therefore moved outwards until the path passes
+through the places that are to be passed. Derivation and sources: docs/theory/geometric_plan.md,
+eqs. (1) to (4).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import inf
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+from scipy.optimize import brentq
+
+from pyomo_quad.flight.routes import Route
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from pyomo_quad.arrays import FloatArray
+
+# Durations of the three moving averages that follow one another [s]: the first, in which the
+# velocity turns at a corner, and two short ones that bound the jerk. Their sum.
+_AVERAGED_S = (1.2, 0.5, 0.5)
+_SPAN_S = sum(_AVERAGED_S)
+# Time between samples of the path [s].
+_STEP_S = 0.02
+# Time at rest before each hover and at the goal, in which deviations of a simulated flight vanish
+# [s].
+_SETTLING_S = 0.4
+# Number of times that corners are moved outwards; the path then passes within millimetres of the
+# places.
+_MOVES = 3
+# Least speed of a flight of given duration [m/s]; distance below which two places are equal [m];
+# and duration below which a part of the motion is left out [s].
+_SLOWEST, _SAME_M, _INSTANT_S = 0.05, 1e-6, 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stop:
+    """Corner of a route, with what the mission asks for there.
+
+    Attributes
+    ----------
+    place : ndarray, shape (3,)
+        Position of the corner [m].
+    hold : float or None
+        Duration for which the vehicle hovers there [s]; None if it passes without a stop.
+    speed_max : float
+        Greatest speed with which the vehicle may pass [m/s].
+    """
+
+    place: FloatArray
+    hold: float | None = None
+    speed_max: float = inf
+
+
+@dataclass(frozen=True, kw_only=True)
+class Pace:
+    """Greatest speed and accelerations of a motion along a route.
+
+    Attributes
+    ----------
+    speed : float
+        Greatest speed [m/s].
+    acceleration : float
+        Greatest acceleration along the lines [m/s^2].
+    turning : float
+        Greatest acceleration at the corners [m/s^2]. The distance by which the path leaves the
+        lines near a corner is proportional to it.
+    """
+
+    speed: float
+    acceleration: float
+    turning: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class SmoothPath:
+    """Path of a vehicle as a function of time, sampled at equally spaced times.
+
+    Attributes
+    ----------
+    times : ndarray, shape (n,)
+        Times of the samples [s]; the first is 0, the last is the duration.
+    places, velocities, accelerations : ndarray, shape (n, 3)
+        Position [m], velocity [m/s] and acceleration [m/s^2] at these times.
+    passings : tuple of (float, float)
+        Times at which each corner is reached and left [s].
+    """
+
+    times: FloatArray
+    places: FloatArray
+    velocities: FloatArray
+    accelerations: FloatArray
+    passings: tuple[tuple[float, float], ...]
+
+    @property
+    def duration(self) -> float:
+        """Duration of the path [s]."""
+        return float(self.times[-1])
+
+    def at(self, times: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity and acceleration at n times [s], each of shape (n, 3)."""
+        found = (self.places, self.velocities, self.accelerations)
+        place, velocity, acceleration = (
+            np.column_stack([np.interp(times, self.times, column) for column in rows.T])
+            for rows in found
+        )
+        return place, velocity, acceleration
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Motion:
+    """Motion along straight lines before averaging: times, distances and speeds at its breaks.
+
+    `times` [s], `distances` from the start [m] and `speeds` [m/s] have the shape (n,). `passings`
+    has the times at which each corner is reached and left [s].
+    """
+
+    times: FloatArray
+    distances: FloatArray
+    speeds: FloatArray
+    passings: tuple[tuple[float, float], ...]
+
+
+def smoothed(
+    stops: Sequence[Stop],
+    pace: Pace,
+    lasting: float | None = None,
+) -> SmoothPath | None:
+    """Return a smooth path through the corners of a route, from rest to rest.
+
+    Parameters
+    ----------
+    stops : sequence of Stop
+        Start, corners and goal.
+    pace : Pace
+        Greatest speed and accelerations.
+    lasting : float, optional
+        Duration of the path [s]; the speed is then reduced until the path takes this long. By
+        default the path takes as long as it needs.
+
+    Returns
+    -------
+    SmoothPath or None
+        The path; None if it cannot be flown in the given duration.
+    """
+    corners = np.array([stop.place for stop in stops])
+    wanted = corners.copy()
+    for _ in range(_MOVES):
+        chosen = pace if lasting is None else _pace_for(stops, corners, pace, lasting)
+        if chosen is None:
+            return None
+        motion = _motion(stops, corners, chosen)
+        path = _averaged(motion, corners, lasting)
+        at_corners = path.at(np.array([reached for reached, _ in path.passings]))[0]
+        corners = corners + wanted - at_corners
+    return path
+
+
+def _pace_for(
+    stops: Sequence[Stop], corners: FloatArray, fastest: Pace, lasting: float
+) -> Pace | None:
+    """Return the pace with the speed at which a motion along a route lasts a given duration.
+
+    `corners` has the present places of the corners, `lasting` is the duration [s]. The result is
+    None if the motion takes longer even at the pace `fastest`.
+    """
+
+    def excess(speed: float) -> float:
+        found = _motion(stops, corners, replace(fastest, speed=speed))
+        return float(found.times[-1]) - lasting
+
+    if excess(fastest.speed) > 0.0:
+        return None
+    if excess(_SLOWEST) < 0.0:
+        return replace(fastest, speed=_SLOWEST)
+    speed = brentq(excess, _SLOWEST, fastest.speed, xtol=1e-9)
+    return replace(fastest, speed=float(speed))
+
+
+def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> FloatArray:
+    """Return the speed at each corner of a route [m/s], zero at both ends and at hovers.
+
+    With these speeds, the accelerations are at most those of `pace`: between the corners, and of
+    the averaged motion at the corners. `steps` has the displacement from each corner to the next,
+    shape (n - 1, 3). Implements docs/theory/geometric_plan.md, eqs. (1) and (2).
+    """
+    lengths = np.linalg.norm(steps, axis=1)
+    courses = steps / np.maximum(lengths, _SAME_M)[:, None]
+    turned = np.linalg.norm(np.diff(courses, axis=0), axis=1)
+    inner = np.minimum(pace.speed, pace.turning * _AVERAGED_S[0] / np.maximum(turned, _SAME_M))
+    is_short = np.minimum(lengths[:-1], lengths[1:]) <= _SAME_M
+    speeds = np.concatenate([[0.0], np.where(is_short, 0.0, inner), [0.0]])
+    speeds = np.minimum(speeds, [0.0 if s.hold is not None else s.speed_max for s in stops])
+    for order in (1, -1):
+        walk = range(len(lengths)) if order > 0 else range(len(lengths) - 1, -1, -1)
+        for k in walk:
+            before, after = (k, k + 1) if order > 0 else (k + 1, k)
+            reachable = np.sqrt(speeds[before] ** 2 + 2.0 * pace.acceleration * lengths[k])
+            speeds[after] = min(speeds[after], reachable)
+    return np.asarray(speeds)
+
+
+def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
+    """Return the motion along straight lines from corner to corner, with bounded acceleration.
+
+    Before and after the motion the vehicle rests for half the span of the averages, and during
+    hovers for the whole span longer than the mission asks for, so that the averaged motion rests as
+    well. The arguments are those of the function `smoothed`.
+    """
+    steps = np.diff(corners, axis=0)
+    lengths = np.linalg.norm(steps, axis=1).tolist()
+    at_corners = _corner_speeds(stops, steps, pace).tolist()
+    acceleration = pace.acceleration
+    rows = [(0.0, 0.0, 0.0)]
+    passings = []
+
+    def add(lasting: float, speed_after: float) -> None:
+        t, s, v = rows[-1]
+        if lasting > _INSTANT_S:
+            rows.append((t + lasting, s + 0.5 * lasting * (v + speed_after), speed_after))
+
+    add(0.5 * _SPAN_S, 0.0)
+    passings.append((0.0, 0.5 * _SPAN_S))
+    for k, stop in enumerate(stops[1:]):
+        first, last, length = at_corners[k], at_corners[k + 1], lengths[k]
+        peak = min(pace.speed, np.sqrt(acceleration * length + 0.5 * (first**2 + last**2)))
+        changing = (2.0 * peak**2 - first**2 - last**2) / (2.0 * acceleration)
+        add((peak - first) / acceleration, peak)
+        add(max(length - changing, 0.0) / peak if peak > 0.0 else 0.0, peak)
+        add((peak - last) / acceleration, last)
+        reached = rows[-1][0]
+        if k == len(stops) - 2:
+            add(0.5 * _SPAN_S + _SETTLING_S, 0.0)
+            passings.append((rows[-1][0], rows[-1][0]))
+        elif stop.hold is not None:
+            add(_SPAN_S + _SETTLING_S + stop.hold, 0.0)
+            rested = reached + 0.5 * _SPAN_S + _SETTLING_S
+            passings.append((rested, rested + stop.hold))
+        else:
+            passings.append((reached, reached))
+    times, distances, speeds = np.array(rows).T
+    return _Motion(times=times, distances=distances, speeds=speeds, passings=tuple(passings))
+
+
+def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
+    """Return the moving average of a motion along straight lines.
+
+    `corners` has the ends of the lines, shape (n, 3). The path rests at its end until the time
+    `lasting` [s], if that is given. Implements docs/theory/geometric_plan.md, eq. (3).
+    """
+    end = float(motion.times[-1]) if lasting is None else lasting
+    count = int(np.ceil(end / _STEP_S)) + 1
+    times = np.linspace(0.0, end, count)
+    travelled = CubicHermiteSpline(motion.times, motion.distances, motion.speeds)
+    total = float(motion.distances[-1])
+    shares = travelled(np.minimum(times, motion.times[-1])) / max(total, _SAME_M)
+    places = Route(places=corners, sides=()).places_at(np.clip(shares, 0.0, 1.0))
+    step = float(times[1])
+    for span in _AVERAGED_S:
+        half = max(1, round(0.5 * span / step))
+        weights = np.full(2 * half + 1, 1.0 / (2 * half))
+        weights[[0, -1]] *= 0.5
+        padded = np.pad(places, ((half, half), (0, 0)), mode="edge")
+        places = np.column_stack([np.convolve(row, weights, mode="valid") for row in padded.T])
+    velocities = np.gradient(places, step, axis=0)
+    return SmoothPath(
+        times=times,
+        places=places,
+        velocities=velocities,
+        accelerations=np.gradient(velocities, step, axis=0),
+        passings=motion.passings,
+    )
