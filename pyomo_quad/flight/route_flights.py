@@ -74,7 +74,8 @@ class RouteFlights:
         self._is_plain, self._tolerance = False, solver.tolerance
         if self._scenario.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
-            self._is_pruned = True
+            # Through a wind field, several optima pass the zones on the same sides.
+            self._is_pruned = not has_corridors(self._scenario)
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along candidate journeys; return the best solution and all results.
