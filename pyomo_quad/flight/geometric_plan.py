@@ -273,18 +273,16 @@ def _flat(
     yaw = _headings(told, path, times)
     upright = states.copy()
     upright[:, [*rotors, column[ROLL], column[PITCH]]] = 0.0
-    none = np.zeros(len(dynamics.control_names))
-    falling = np.array(
-        [dynamics.rates(t, row, none) for t, row in zip(times.tolist(), upright, strict=True)]
-    )[:, [column[name] for name in VELOCITY_STATES]]
-    needed = acceleration - falling
+    needed = acceleration - _falling(dynamics, times, upright)
     size = np.linalg.norm(needed, axis=1)
+    hovering = upright[:1] * [name not in VELOCITY_STATES for name in names]
+    weight = np.linalg.norm(_falling(dynamics, times[:1], hovering))
     ahead, aside = (
         (needed[:, 0] * c + needed[:, 1] * s) / size
         for c, s in ((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw)))
     )
     roll, pitch = -np.arcsin(aside), np.arctan2(ahead, needed[:, 2] / size)
-    speeds = steady.hover_speed * np.sqrt(size / told.gravity)
+    speeds = steady.hover_speed * np.sqrt(size / weight)
     rolling, pitching, turning, spinning = (
         np.gradient(row, times) for row in (roll, pitch, yaw, speeds)
     )
@@ -311,6 +309,18 @@ def _flat(
         costates=np.zeros((mesh.points, len(names))),
         hamiltonian=np.zeros(mesh.points),
     )
+
+
+def _falling(dynamics: Dynamics, times: FloatArray, upright: FloatArray) -> FloatArray:
+    """Return the acceleration by weight and air alone at n times [m/s^2], shape (n, 3).
+
+    `times` are in s, and `upright` has the states of a level vehicle whose rotors stand still,
+    shape (n, n_states).
+    """
+    none = np.zeros(len(dynamics.control_names))
+    rows = zip(times.tolist(), upright, strict=True)
+    rates = np.array([dynamics.rates(t, row, none) for t, row in rows])
+    return rates[:, [dynamics.state_names.index(name) for name in VELOCITY_STATES]]
 
 
 def _mesh(path: SmoothPath) -> Mesh:

@@ -242,10 +242,11 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
         if k == len(stops) - 2:
             add(0.5 * _SPAN_S + _SETTLING_S, 0.0)
             passings.append((rows[-1][0], rows[-1][0]))
-        elif stop.hold is not None:
-            add(_SPAN_S + _SETTLING_S + stop.hold, 0.0)
+        elif last == 0.0:
+            hold = stop.hold or 0.0
+            add(_SPAN_S + _SETTLING_S + hold, 0.0)
             rested = reached + 0.5 * _SPAN_S + _SETTLING_S
-            passings.append((rested, rested + stop.hold))
+            passings.append((rested, rested + hold))
         else:
             passings.append((reached, reached))
     times, distances, speeds = np.array(rows).T

@@ -1,12 +1,18 @@
 """Corridors through a wind field: closed forms of their cost, and where they lie."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
 from scipy.optimize import minimize_scalar
 
+from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight.corridors import Corridors, has_corridors
+from pyomo_quad.flight.route_flights import RouteFlights
+from pyomo_quad.flight.routes import Route
 from pyomo_quad.scenario import load_scenario
+from tests.unit.flight.coarse_solution import solution_at
 
 X, Y = np.linspace(0, 200, 41), np.linspace(0, 120, 25)
 ENDS = np.array([[20.0, 60.0, 10.0], [180.0, 60.0, 10.0]])
@@ -103,3 +109,27 @@ def test_places_without_a_way_between_them_have_no_corridor(tmp_path):
     found = corridors_in(tmp_path, divided)
     assert found.routes() == []
     assert found.energy_of(ENDS) is None
+
+
+def test_the_mission_is_solved_along_every_corridor(tmp_path):
+    """Corridors have no sides of zones; a solution along one says nothing about the others."""
+    told = mission_in(tmp_path, lambda _x, y: (0.01 * y, 0.0))
+    corridors = [(Route(places=ENDS, sides=(), label=f"corridor {k}"),) for k in range(3)]
+    solved = []
+
+    class Flights(RouteFlights):
+        def fly(self, journey):
+            solved.append(journey[0].label)
+            return solution_at(float(len(solved)), 100.0 * len(solved), Mesh.uniform(4, 3))
+
+        def refine(self, flown, _meshes):
+            return flown
+
+        def energy_of(self, solution):
+            return solution.objective
+
+        def as_flown(self, journey, _solution):
+            return journey
+
+    Flights(SimpleNamespace(told=told)).compared(corridors)
+    assert solved == ["corridor 0", "corridor 1", "corridor 2"]

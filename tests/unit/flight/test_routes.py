@@ -1,7 +1,6 @@
 """Routes: their lengths beside closed forms, which sides they pass, and what closes them."""
 
 from math import acos, asin, sqrt
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,8 +11,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.collocation import Mesh, Status, Trajectory
-from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import (
     RouteFlights,
@@ -33,6 +31,7 @@ from pyomo_quad.scenario.airspace import Airspace
 from tests.command import PAPER_CALM
 from tests.declared_model import scenario
 from tests.flights import PLANNER
+from tests.unit.flight.coarse_solution import solution_at
 
 START, GOAL = (0.0, 0.0, 5.0), (20.0, 0.0, 5.0)
 MAST = {
@@ -317,22 +316,6 @@ def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
     assert all(np.all(shares[name] == guess[name]) for name in guess if name != "time")
 
 
-def flown(height, objective, mesh):
-    states = np.full((mesh.points + 1, len(POSITION_STATES)), height)
-    held = Trajectory(
-        mesh=mesh, states=states, algebraics=np.zeros((mesh.points, 0)), statics=np.zeros(0)
-    )
-    slots = [SimpleNamespace(name=name) for name in POSITION_STATES]
-    declared = SimpleNamespace(states=slots)
-    return SimpleNamespace(
-        status=Status.CONVERGED,
-        objective=objective,
-        trajectory=held,
-        mesh=mesh,
-        problem=SimpleNamespace(compiled=SimpleNamespace(declared=declared)),
-    )
-
-
 def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
     """The meshes differ, and the energies by rounding alone."""
     journeys = find_journeys(airspace(MAST, floor=0.0, ceiling=9.0), [START, GOAL])
@@ -342,17 +325,16 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
     class Flights(RouteFlights):
         def __init__(self):
             """Need no mission."""
-            self._begun = {}
 
         def fly(self, _journey):
-            return flown(next(heights), 100.0, Mesh.uniform(4, 3))
+            return solution_at(next(heights), 100.0, Mesh.uniform(4, 3))
 
         def refine(self, known, meshes):
             if meshes is None:
                 refined.append(known)
                 return known
             elements = 5 if known.trajectory.states[0, 0] == 1.0 else 6
-            return flown(1.5, 100.0 + 1e-9 * elements, Mesh.uniform(elements, 3))
+            return solution_at(1.5, 100.0 + 1e-9 * elements, Mesh.uniform(elements, 3))
 
         def energy_of(self, solution):
             return solution.objective
