@@ -34,7 +34,7 @@ _HOVER = "mission.hold_speed"
 _RAMP_S = 1.7
 # Push relative to the depth of the path inside a zone, and its least length [m]: the vehicle
 # follows a push only in part, and edges of zones are rounded.
-_MORE, _LEAST_M = 1.3, 0.02
+_MORE, _LEAST_M = 1.3, 0.004
 # Step of the finite differences that give the direction out of a zone [m].
 _STEP_M = 1e-3
 

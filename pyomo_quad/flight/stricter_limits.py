@@ -7,7 +7,7 @@ path between the points just satisfies the limit of the mission.
 
 A stricter limit costs energy. The energy of the plan is therefore compared with the least energy of
 the mission with its original limits. This least energy is estimated from the solution with the
-original limits and the solution with stricter limits; see docs/theory/tracking.md, eq. (9).
+original limits and the solution with stricter limits; see docs/theory/tracking.md, eq. (10).
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def _least_energy(
     The flight of the solution `relaxed`, which has the limits of the mission, breaks these limits
     by the amounts `cuts`. The flight of the solution `strict`, whose limits are stricter by the
     amounts `margins`, satisfies them. To first order, the least energy changes in proportion to the
-    limits. Implements docs/theory/tracking.md, eq. (9).
+    limits. Implements docs/theory/tracking.md, eq. (10).
 
     `mission` solves the mission. `margins` and `cuts` map the full name of a parameter that sets a
     limit to an amount in its unit.

@@ -28,6 +28,7 @@ from pyomo_quad.flight.flight import (
 )
 from pyomo_quad.flight.integration import discrete, integrate
 from pyomo_quad.flight.plan import Trajectories
+from pyomo_quad.flight.state_shifts import shifted
 from pyomo_quad.flight.verification import rates_in_element
 
 if TYPE_CHECKING:
@@ -37,6 +38,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Dynamics, Mesh
     from pyomo_quad.flight.displacement import Displacement
     from pyomo_quad.flight.integration import Rates
+    from pyomo_quad.flight.state_shifts import StateShift
 
 # Interval between corrections of the feedback [s]: a tenth of the time in which the vehicle changes
 # its tilt.
@@ -56,6 +58,8 @@ _ROTOR_SPEED, _ROTOR_DEVIATION = "rotors.omega[", 5.0
 # Deviation of the rate of the yaw angle [rad/s], and of a velocity during a hover at a waypoint
 # [m/s], that the regulator weighs like the deviations above. The limit on that velocity is 0.1 m/s.
 _TURNING, _AT_REST = 3e-3, 0.02
+# Factor on the weight of a state while the path is shifted in it.
+_CLOSELY = 30.0
 # Roll and yaw angle, and the body rates about the pitch and yaw axes.
 _ROLL, _YAW, _Q, _R = "rigid_body.phi", "rigid_body.psi", "rigid_body.q", "rigid_body.r"
 # Parameter of missions that keep the yaw angle.
@@ -72,6 +76,30 @@ _CORRECTION, _AT_THE_END = 200.0, 50.0
 _INTEGRATION, _LOST, _MOST_EVALUATIONS = 1e-10, 1e6, 5_000
 
 
+@dataclass(frozen=True, kw_only=True)
+class Demands:
+    """Changes of the path that a simulated vehicle follows, relative to a coarse solution.
+
+    Attributes
+    ----------
+    displacement : tuple of Push
+        Displacement of the path. It is the sum of pushes, each of which displaces the path by one
+        vector during a span of time.
+    rests : tuple of (float, float)
+        Start and end times of hovers at waypoints [s], during which the vehicle is to be at rest.
+    shifts : tuple of StateShift
+        Shifts of the path in tilt, speed and rotor speeds, away from limits.
+    """
+
+    displacement: Displacement = ()
+    rests: tuple[tuple[float, float], ...] = ()
+    shifts: tuple[StateShift, ...] = ()
+
+
+#: The path is that of the coarse solution.
+NO_DEMANDS = Demands()
+
+
 def can_be_tracked(dynamics: Dynamics) -> bool:
     """Return whether a model has all states that the linear-quadratic regulator needs.
 
@@ -84,9 +112,8 @@ def can_be_tracked(dynamics: Dynamics) -> bool:
 def tracked(
     dynamics: Dynamics,
     coarse: Trajectories,
-    displacement: Displacement = (),
+    demands: Demands = NO_DEMANDS,
     previous: Trajectories | None = None,
-    rests: Sequence[tuple[float, float]] = (),
 ) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
@@ -99,14 +126,11 @@ def tracked(
         Equations of the vehicle.
     coarse : Trajectories
         States and controls of a solution.
-    displacement : tuple of Push, optional
-        Displacement of the path that the vehicle follows, relative to the solution. It is the sum
-        of pushes, each of which displaces the path by one vector during a span of time.
+    demands : Demands, optional
+        Changes of the path that the vehicle follows, relative to the solution.
     previous : Trajectories, optional
-        An earlier result for the same solution, with any displacement. The corrections then
+        An earlier result for the same solution, with any demands. The corrections then
         anticipate the deviations that this flight shows.
-    rests : sequence of (float, float), optional
-        Start and end times of hovers at waypoints [s], during which the vehicle is to be at rest.
 
     Returns
     -------
@@ -132,8 +156,8 @@ def tracked(
         states=coarse.states_at(borders),
         controls=coarse.controls_at(points),
     )
-    aside = _aside(dynamics, path, displacement, rests)
-    regulator = _regulator(dynamics, coarse, borders, rests)
+    aside = _aside(dynamics, path, demands)
+    regulator = _regulator(dynamics, coarse, borders, demands)
     disturbances = regulator.driven_by(aside)
     if previous is not None:
         disturbances += _disturbances(path, regulator, previous)
@@ -231,26 +255,22 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
     return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)
 
 
-def _aside(
-    dynamics: Dynamics,
-    path: _Path,
-    displacement: Displacement,
-    rests: Sequence[tuple[float, float]],
-) -> FloatArray:
-    """Return the change of a path's states at the element boundaries if the path is displaced.
+def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
+    """Return the change of a path's states at the element boundaries that demands cause.
 
     The result has the shape (n_elements + 1, n_states) and the state order of `dynamics`. Position
-    and velocity change by the given `displacement` and its time derivative. Roll and pitch are not
-    changed: the regulator finds the tilt that the displaced path takes. If the mission requires a
-    constant heading, yaw angle and yaw rate are changed so that the yaw angle is constant. (The
-    coarse solution, whose path is `path`, has a constant heading at its collocation points only.)
-    During each of the spans `rests` (start and end time [s]), the velocity is changed to zero.
+    and velocity change by the displacement of `demands` and its time derivative. Roll and pitch do
+    not follow them: the regulator finds the tilt that the displaced path takes. If the mission
+    requires a constant heading, yaw angle and yaw rate are changed so that the yaw angle is
+    constant. (The coarse solution, whose path is `path`, has a constant heading at its collocation
+    points only.) During the hovers, the velocity is changed to zero. The shifts of `demands` are
+    added.
     """
     aside = np.zeros_like(path.states)
-    moved = displaced(path.borders, displacement)
+    moved = displaced(path.borders, demands.displacement)
     for names, values in zip((POSITION_STATES, VELOCITY_STATES), moved, strict=True):
         aside[:, [dynamics.state_names.index(name) for name in names]] = values
-    at_rest = np.flatnonzero(_are_within(path.borders, rests))[:, None]
+    at_rest = np.flatnonzero(_are_within(path.borders, demands.rests))[:, None]
     speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
     aside[at_rest, speeds] = -path.states[at_rest, speeds]
     if _KEPT_HEADING in dynamics.parameter_names:
@@ -258,7 +278,7 @@ def _aside(
         roll, yaw, q, r = path.states[:, columns].T
         aside[:, columns[1]] = yaw[0] - yaw
         aside[:, columns[3]] = -q * np.tan(roll) - r
-    return aside
+    return aside + shifted(dynamics.state_names, path.borders, demands.shifts)
 
 
 def _split(mesh: Mesh, duration: float) -> Mesh:
@@ -279,14 +299,14 @@ def _regulator(
     dynamics: Dynamics,
     coarse: Trajectories,
     borders: FloatArray,
-    rests: Sequence[tuple[float, float]] = (),
+    demands: Demands = NO_DEMANDS,
 ) -> _Regulator:
     """Return the linear-quadratic regulator for the elements of a mesh.
 
     Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation of the equations
     `dynamics` about the solution `coarse`. `borders` has the times of the element boundaries [s],
-    shape (n_elements + 1,). `rests` has the start and end time [s] of each hover at a waypoint;
-    during these hovers the regulator gives deviations of the velocity a larger weight.
+    shape (n_elements + 1,). The given `demands` increase weights: that of the velocity during
+    hovers, and that of a state while the path is shifted in it.
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -311,8 +331,11 @@ def _regulator(
     turning = slopes[:, dynamics.state_names.index(_YAW), :n_states] / _TURNING
     weights = plain + turning[:, :, None] * turning[:, None, :]
     speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
-    resting = np.flatnonzero(_are_within(borders[:-1], rests))[:, None]
+    resting = np.flatnonzero(_are_within(borders[:-1], demands.rests))[:, None]
     weights[resting, speeds, speeds] += 1.0 / _AT_REST**2
+    shifts = shifted(dynamics.state_names, borders[:-1], demands.shifts)
+    rows, columns = np.nonzero(shifts)
+    weights[rows, columns, columns] *= _CLOSELY
     price = np.eye(n_controls) / _CORRECTION**2
     gains, values = driven.transpose(0, 2, 1).copy(), np.zeros_like(transitions)
     inverses = np.zeros((len(steps), n_controls, n_controls))

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import SolveError, Status
-from pyomo_quad.flight.displacement import Displacement, moves_in_hovers, pushes_out
+from pyomo_quad.flight.displacement import moves_in_hovers, pushes_out
 from pyomo_quad.flight.flight import HELD_BREACH, Flown
 from pyomo_quad.flight.plan import (
     LEAST_ENERGY_J,
@@ -23,7 +23,8 @@ from pyomo_quad.flight.plan import (
     Trajectories,
     trajectories_of,
 )
-from pyomo_quad.flight.tracking import can_be_tracked, tracked
+from pyomo_quad.flight.state_shifts import shifts_within_limits
+from pyomo_quad.flight.tracking import NO_DEMANDS, Demands, can_be_tracked, tracked
 from pyomo_quad.flight.verification import (
     Verification,
     compared,
@@ -35,15 +36,14 @@ from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from pyomo_quad.scenario.mission import Aim
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Solution
     from pyomo_quad.scenario import Scenario
 
 # Violation of a limit, relative to the larger of 1 and the limit, above which corrections of the
-# controls are not tried; and largest number of simulated flights in which they are improved.
-_HOPELESS, _MOST_FLIGHTS = 1.5, 4
+# controls are not tried; that above which they are not tried again after a flight that anticipates
+# deviations; and largest number of simulated flights in which they are improved.
+_HOPELESS, _STILL_HOPELESS, _MOST_FLIGHTS = 1.5, 0.2, 5
 _STATUS = {
     Status.NOT_CONVERGED: PlanStatus.NOT_CONVERGED,
     Status.INFEASIBLE: PlanStatus.INFEASIBLE,
@@ -189,8 +189,9 @@ def _corrected(
     flight are the corrected controls. If the flight breaks limits, further flights under feedback
     are simulated. The corrections in each further flight anticipate the deviations of the previous
     flight. The path that the further flights follow is the planned path, displaced out of the zones
-    that earlier flights entered. If an earlier flight moved during a hover at a waypoint, this path
-    is at rest during all hovers.
+    that earlier flights entered, and shifted away from limits on tilt, speed and rotor speeds that
+    they exceeded. If an earlier flight moved during a hover at a waypoint, this path is at rest
+    during all hovers.
 
     Parameters
     ----------
@@ -216,13 +217,12 @@ def _corrected(
     Flown
         Samples of the flight that was compared.
     """
-    displacement: Displacement = ()
+    demands = NO_DEMANDS
     previous: Trajectories | None = None
-    rests: list[tuple[float, float]] = []
     found: list[tuple[Plan, Verification, Flown]] = []
     while len(found) < _MOST_FLIGHTS:
         try:
-            followed = _followed(plan, least_energy, displacement, previous, rests)
+            followed = _followed(plan, least_energy, demands, previous)
             goal = _attainable(followed, wanted)
             verification, path = _as_planned(followed, accuracy, goal)
         except SolveError:
@@ -231,22 +231,38 @@ def _corrected(
             break
         found.append((followed, verification, path))
         is_enough = verification.is_verified or (is_rough and verification.is_usable)
-        is_hopeless = verification.max_violation > _HOPELESS or followed is plan
+        most = _HOPELESS if previous is None else _STILL_HOPELESS
+        is_hopeless = verification.max_violation > most or followed is plan
         if is_enough or is_hopeless:
             break
-        pushes = pushes_out(plan.dynamics, path)
-        is_restless = not rests and moves_in_hovers(plan.dynamics, path, FIGURES[accuracy].breach)
-        if previous is not None and not pushes and not is_restless:
+        more = _more_demands(plan, demands, path, FIGURES[accuracy].breach)
+        if previous is not None and more == demands:
             break
-        if is_restless:
-            begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
-            rests = [(start, start + w.hold) for w, start in begun if w.hold]
-        displacement, previous = (*displacement, *pushes), followed.trajectories
+        demands, previous = more, followed.trajectories
     usable = [one for one in found if one[1].reached or one[1].is_usable]
     if not usable:
         return found[-1]
     corrected = usable[-1][0]
     return corrected, *_flown(corrected, accuracy, _attainable(corrected, wanted))
+
+
+def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
+    """Return the demands on the next simulated flight, after a flight that broke limits.
+
+    `demands` are those on that flight, and `path` has its samples. Pushes out of the zones that the
+    flight entered are added, shifts away from limits on tilt, speed and rotor speeds that it
+    exceeded, and rest during all hovers if it moved during a hover. `allowed` is the tolerated
+    violation of a limit, relative to the larger of 1 and the limit.
+    """
+    rests = demands.rests
+    if not rests and moves_in_hovers(plan.dynamics, path, allowed):
+        begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
+        rests = tuple((start, start + w.hold) for w, start in begun if w.hold)
+    return Demands(
+        displacement=(*demands.displacement, *pushes_out(plan.dynamics, path)),
+        rests=rests,
+        shifts=(*demands.shifts, *shifts_within_limits(plan.dynamics, path, allowed)),
+    )
 
 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
@@ -320,9 +336,8 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
 def _followed(
     plan: Plan,
     least_energy: float,
-    displacement: Displacement,
+    demands: Demands,
     previous: Trajectories | None,
-    rests: Sequence[tuple[float, float]],
 ) -> Plan:
     """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
 
@@ -331,13 +346,11 @@ def _followed(
     the vehicle cannot follow this path, the result is `plan`, unchanged. `least_energy` is the
     energy of the optimum [J]. The error estimate of the corrected plan is the larger of two
     numbers: the error estimate of `plan`, and the relative difference between the energy of the
-    simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5). `displacement` pushes
-    the path that the vehicle follows out of zones. `previous` has the states and controls of an
-    earlier flight along the path, or is None; the corrections anticipate the deviations of this
-    earlier flight. `rests` has the start and end times [s] of the hovers in which the vehicle is to
-    be at rest.
+    simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5). `demands` change the
+    path that the vehicle follows. `previous` has the states and controls of an earlier flight along
+    the path, or is None; the corrections anticipate the deviations of this earlier flight.
     """
-    followed = tracked(plan.dynamics, plan.trajectories, displacement, previous, rests)
+    followed = tracked(plan.dynamics, plan.trajectories, demands, previous)
     if followed is None:
         return plan
     energy = float(followed.energy[-1])
