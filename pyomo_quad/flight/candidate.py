@@ -299,9 +299,6 @@ class Candidate:
         rough = mission.solve(mesh=rough_mesh(duration), tolerance=None, guess=guess)
         self.solution = rough
         if rough.status.is_solved:
-            if told.solver.accuracy is not Accuracy.PROOF:
-                # Its flight is offered as a usable plan.
-                mission.go_on(rough, max_meshes=1)
             self.solution = mission.solve(
                 mesh=fine_mesh(rough.horizon[1], told.solver.degree),
                 options=mission.arguments["options"].for_small_changes(),

@@ -24,11 +24,11 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.plan import Plan
 
 # Work of a search (the sum over Ipopt's iterations of the number of mesh points): before it makes
-# the first plan, about half a second of a processor; and before it computes usable plans at the
-# highest accuracy, about two seconds. Largest fractions of its work that it spends on simulating
-# the controls of finished meshes: before it has a usable plan from a solution, and afterwards, to
-# find a better usable plan.
-_PROMPT, _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 3e3, 1.2e4, 0.3, 0.05
+# the first plan, somewhat less than a second of a processor; and before it computes usable plans at
+# the highest accuracy, about two seconds. Largest fractions of its work that it spends on
+# simulating the controls of finished meshes: before it has a usable plan from a solution, and
+# afterwards, to find a better usable plan.
+_PROMPT, _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 5e3, 1.2e4, 0.3, 0.05
 # Correcting the controls of a mesh and simulating them counts as the work of this number of
 # iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 20
@@ -153,9 +153,9 @@ class Search:
         """Set the function that makes the first usable plan, if the search takes long.
 
         Most searches end soon by themselves, and need no plan before. The function is called once,
-        between two iterations of Ipopt, when the search has taken about half a second and has no
-        usable plan yet. It returns a plan that was simulated, or None. A usable plan is a plan that
-        simulation confirms at lower accuracy than requested.
+        between two iterations of Ipopt, when the search has taken somewhat less than a second and
+        has no usable plan yet. It returns a plan that was simulated, or None. A usable plan is a
+        plan that simulation confirms at lower accuracy than requested.
         """
         self._make_first = make_first
 
