@@ -16,7 +16,6 @@ from math import inf
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
 from scipy.optimize import brentq
 
 from pyomo_quad.flight.routes import Route
@@ -259,6 +258,8 @@ def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> Sm
     `corners` has the ends of the lines, shape (n, 3). The path rests at its end until the time
     `lasting` [s], if that is given. Implements docs/theory/geometric_plan.md, eq. (3).
     """
+    from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
+
     end = float(motion.times[-1]) if lasting is None else lasting
     count = int(np.ceil(end / _STEP_S)) + 1
     times = np.linspace(0.0, end, count)
