@@ -30,8 +30,8 @@ ABOUT = (
     "formulas of the benchmark's own. A mission is stopped after 40 s; its first usable plan is "
     "the one that is left to a user who stops earlier; as a rule it is the flight along the "
     "shortest route that needs no optimisation (`docs/theory/geometric_plan.md`), which spends "
-    "more than the optimum (6, 20 and 41 % in three missions, `docs/decisions/speed.md`). Processor "
-    "seconds of one core, building and flight included."
+    "more than the optimum (6, 20 and 41 % in three missions, `docs/decisions/speed.md`). "
+    "Processor seconds of one core, building and flight included."
 )
 SEEDS = (2029,)
 MISSIONS = 200
