@@ -19,7 +19,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     ----------
     arguments : sequence of str, optional
         Arguments of the command. By default the arguments of the process are read. In this case
-        signals such as Ctrl-C end the process, and `startup.own_process` makes the process faster.
+        signals such as Ctrl-C end the process, and settings of the whole process that make a
+        single command faster are changed by the function `startup.own_process`.
 
     Returns
     -------

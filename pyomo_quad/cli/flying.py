@@ -49,19 +49,22 @@ _Outcome = TypeVar("_Outcome")
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
-    """Call a function that simulates flights; if a flight is impossible, exit with the reason.
+    """Call a function that simulates flights, and return its result.
+
+    The function raises the exception `SolveError` if a flight is impossible. The reason is then
+    printed to standard error, and the command exits.
 
     Parameters
     ----------
     scenario : Scenario
-        Mission, whose name begins the message.
+        Mission, whose name begins the printed line.
     fly : callable
         Function without arguments that simulates and returns the flights.
 
     Raises
     ------
     Exit
-        With status `NOT_SOLVED`, if the function raises `SolveError`.
+        If a flight is impossible. The exit status is `NOT_SOLVED`, a value of `ExitCode`.
     """
     try:
         return fly()
@@ -143,7 +146,8 @@ def fly_rotorpy(
     scenario : Scenario
         Mission and wind.
     pilot : str
-        Controller of the flight: a value of `Pilot`.
+        Name of the controller: "adaptive" for the adaptive controller of this package, "se3" for
+        RotorPy's geometric controller, or "open_loop" for the plan's controls without feedback.
     followed : Reference
         Reference trajectory.
     plan : Plan or None

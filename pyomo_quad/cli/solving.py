@@ -404,9 +404,10 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        Total energy, saving of the plan, duration and outcome of each flight. The column of savings
-        is left out if no flight has a saving, the column of scenarios if there is only one
-        scenario.
+        One row for each flight: its scenario, name, total energy, duration, energy above hovering,
+        final distance from the goal and outcome, and the saving, the percentage of the flight's
+        energy by which the plan needs less. Empty columns are left out, for example the savings if
+        no flight has one. The column of scenarios is left out if there is only one scenario.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")

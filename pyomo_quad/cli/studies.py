@@ -428,22 +428,24 @@ def predict(
 def _read(
     logs: list[Path], vehicle: str, flights: Path | None
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
-    """Read measured flights, and the library vehicle or vehicle file that describes the vehicle.
+    """Read measured flights, and the description of the vehicle that flew them.
 
     Parameters
     ----------
     logs : list of Path
-        Files of the flights.
+        Files with the measurements of the flights.
     vehicle : str
-        Vehicle of the library, or a vehicle file.
+        Description of the vehicle: the name of a vehicle in the library, or a vehicle file.
     flights : Path or None
-        CSV file that selects flights; None reads all flights.
+        CSV file with the columns "flight" and "split". Only the flights whose "split" is "fit" are
+        returned; None returns all flights.
 
     Returns
     -------
     tuple of (Scenario, DataFrame, DataFrame)
-        Scenario with the vehicle, table of the samples of all flights, and table of the samples of
-        the battery voltage. The last table is empty if any log lacks the voltage.
+        Scenario with the vehicle, table of the samples of the returned flights, and table of the
+        samples of their battery voltage. The last table is empty if any file in `logs` lacks the
+        voltage.
     """
     import pandas as pd  # noqa: PLC0415
 

@@ -30,7 +30,10 @@ _WIDTH_WITHOUT_TERMINAL = 140
 
 
 def result_console() -> Console:
-    """Return a console for standard output; if redirected, it is wide enough for all tables."""
+    """Return a console for standard output.
+
+    If standard output is not a terminal, the width of the console is enough for all tables.
+    """
     width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
     return Console(width=width, highlight=False)
 
@@ -77,8 +80,8 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    An example is a closed pipe. If so, the function also redirects standard output to the null
-    device, so that all further output is discarded.
+    An example is the error that a closed pipe causes. If the result is True, the function has also
+    redirected standard output to the null device, so that all further output is discarded.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False

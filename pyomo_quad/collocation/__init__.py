@@ -170,11 +170,33 @@ def solve(
         continuous set), and the value is a static variable. The solve determines the variable,
         which is the physical time at which the conditions declared at 1.0 hold. For a model with
         several continuous sets, such a mapping for each set, by the set's name.
-    mesh, tolerance, parameters, horizon, guess, warm_start, options, refinement, starts, progress
-        Initial mesh, tolerance of the mesh refinement, new values of parameters, ends of the
-        horizon, initial values of variables, solution to start from, settings of Ipopt, settings
-        of the mesh refinement, number of initial points, and function to call at each iteration.
-        `Problem.solve` describes them, or `JointProblem.solve` for several continuous sets.
+    mesh : Mesh or mapping, optional
+        Used unchanged if no `tolerance` is given; otherwise the initial mesh. For a model with
+        several continuous sets, a mesh for all sets, or a mapping from the sets' names to meshes.
+    tolerance : float, optional
+        Required relative error of the states; default 1e-6 if no mesh is given.
+    parameters : mapping, optional
+        New values of mutable parameters, by component or full name; a function of time for a
+        parameter over time.
+    horizon : (float, float), optional
+        Start and end of the horizon, in place of the ends of the continuous set; not supported for
+        several continuous sets.
+    guess : mapping, optional
+        Initial values by the name of a variable: a function of time, a constant, or samples at the
+        times under the key "time". For a model with several continuous sets, a key may also be the
+        name of a set, and its value a mapping of this kind for the variables over this set.
+    warm_start : Solution, WarmStart, JointSolution or tuple of WarmStart, optional
+        Solution of the same model on any mesh, from which the solve starts; for a model with
+        several continuous sets, one of the last two types.
+    options : SolverOptions, optional
+        Settings of Ipopt.
+    refinement : RefinementOptions, optional
+        Settings of the mesh refinement.
+    starts : int, default 1
+        Number of initial points on the first mesh, all but one random between the bounds; the best
+        optimum is kept. Only 1 is supported for several continuous sets.
+    progress : callable, optional
+        Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
 
     Returns
     -------

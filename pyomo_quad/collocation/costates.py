@@ -251,9 +251,11 @@ def costate_errors_of(
 
     The error is relative to the magnitude of the costate, `costates.sizes`.
 
-    Where the solution is smooth, the adjoint equations are integrated once more, with the costates
-    at the collocation points (`costates.at_points`) in their right-hand side. The estimate is twice
-    the resulting change of each costate.
+    The costates at the collocation points (`costates.at_points`) were computed by integrating the
+    adjoint equations with the multipliers (`costates.stages`) in the right-hand side. Where the
+    solution is smooth, the adjoint equations are integrated a second time, with
+    `costates.at_points` in place of `costates.stages`. The estimate is twice the resulting change
+    of each costate.
 
     A limit on a state that becomes active or inactive inside an element may cause a jump of the
     costates at an unknown time in that element. If the limit's multiplier does not vary smoothly

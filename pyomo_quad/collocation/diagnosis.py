@@ -1,4 +1,8 @@
-"""Diagnosis of a failed solve: worst equations, active limits, and least relaxation needed."""
+"""Diagnosis of a failed solve: most violated equations, active limits, and least relaxation.
+
+The least relaxation is the least amount by which the model's limits must be relaxed until all
+equations can be satisfied.
+"""
 
 from __future__ import annotations
 
@@ -189,9 +193,11 @@ class Residual:
     name : str
         Full name of the equation.
     element : int, optional
-        Index of the element, from 0; None for a condition at a single time.
+        Index of the element in which the equation is violated, from 0; None for an equation that
+        is not imposed at every collocation point, such as a condition at a single time.
     time : float, optional
-        Physical time.
+        Physical time of the collocation point at which the equation is violated; None if `element`
+        is None.
     violation : float
         Distance of the equation's value from its bounds.
     unit : str
@@ -365,18 +371,21 @@ def diagnose(
 
 
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
-    """Solve the elastic program: minimise the sum of the slacks by which limits are violated.
+    """Solve the elastic program: minimise the sum of the slacks by which limits are relaxed.
 
-    All limits that one component of the model declares (a family) share a single slack, an upper
-    bound on the relative violation of every limit in the family.
+    The elastic program has the constraints of the nonlinear program of the failed solve, the
+    original program, but its limits are relaxed by non-negative slacks. All limits that one
+    component of the model declares (a family) share a single slack, an upper bound on the relative
+    violation of every limit in the family.
 
     Parameters
     ----------
     solution : Solution
-        Result of the failed solve. The elastic program is that of this solve, with relaxed limits,
-        and its solve starts at the unknowns of this result.
+        Result of the failed solve, with the original program. The elastic program is solved from
+        the unknowns of this result.
     soft : SoftRows
-        Limits that may be violated; those of them that are bounds on unknowns become constraints.
+        Limits that may be violated. Limits that are bounds on unknowns in the original program
+        become constraints of the elastic program.
     progress : callable or None
         Called at each iteration of Ipopt; returning False stops the solve.
 
@@ -384,8 +393,8 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
     -------
     IpoptResult
         Ipopt's result. Its unknowns are the unknowns of the original program, then the relative
-        violation of each limit in `soft` that is a constraint of that program, then one slack for
-        each family.
+        violation of each limit in `soft` that is a limit on a constraint of the original program,
+        then one slack for each family.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

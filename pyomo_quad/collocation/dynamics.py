@@ -646,8 +646,8 @@ class Dynamics:
         Parameters
         ----------
         instants : Instants
-            States, controls, rates and algebraic variables of the flights, as from `solved`: one
-            flight after another, n times each.
+            States, controls, rates and algebraic variables of the flights, one flight after
+            another, n times each; the method `solved` returns such an object.
         t : ndarray, shape (n,)
             Physical times.
 
@@ -678,7 +678,8 @@ class Dynamics:
         Parameters
         ----------
         instants : Instants
-            States, controls, rates and algebraic variables of the flight, as from `solved`.
+            States, controls, rates and algebraic variables of the flight; the method `solved`
+            returns such an object.
 
         Returns
         -------
@@ -1151,7 +1152,7 @@ class ClosedLoop:
         Here x are the vehicle's states, and own are the law's own states. The constructor calls the
         law once, with symbols.
     n_command, n_own : int
-        Number of components of the command that the law follows, and number of its own states.
+        Number of components of the command that the law follows, and number of states of the law.
 
     Raises
     ------
@@ -1182,7 +1183,7 @@ class ClosedLoop:
         The function maps (time-dependent inputs, joint state, command) to the time derivative of
         the joint state and the controls. The joint state consists of the states of vehicle and law,
         and of the integral of the objective's integrand. `sizes` are the dimensions of the three
-        inputs, as from `joint_sizes`.
+        inputs, which the function `joint_sizes` returns.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
