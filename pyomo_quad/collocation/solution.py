@@ -154,10 +154,10 @@ class Outcome(Summarised):
     error_estimate : float
         Largest relative error over elements and states; infinite if not estimated.
     state_error : float
-        Estimated distance of the states from the optimal states, relative to their magnitudes. The
-        errors of all elements are added. The estimate is larger if limits become active or
-        inactive, and if a singular arc makes the objective nearly independent of the states.
-        Infinite if not estimated.
+        Estimated distance of the states from the optimal states, relative to the magnitudes of the
+        states. The errors of all elements are added. Two effects can raise the estimate above this
+        sum: limits that become active or inactive inside elements, and a singular arc, on which the
+        objective is nearly independent of the states. Infinite if not estimated.
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None

@@ -43,7 +43,8 @@ class _WholeSolve(Search[S], Generic[S]):
     Attributes
     ----------
     solve : callable
-        (start, progress) -> solution.
+        Function that solves the problem once from a starting point, with mesh refinement if asked
+        for: (start, progress) -> solution. It calls its argument `progress` at each iteration.
     start : Start
         Warm start and guess that the caller gave.
     known : ColdStart, optional
@@ -140,13 +141,15 @@ def within_budget(
     A warm start is useful only if it is faster than a solve from the guess (cold start). On its
     first mesh it may take as many iterations as the cold start took on the first mesh, and on all
     meshes together as many as the cold start took on all meshes. These numbers are the budget. If
-    the solve from the warm start exceeds the budget, the problem is solved from the guess. If that
-    solve fails, too, the solve from the warm start is continued.
+    the solve from the warm start exceeds the budget, the problem is solved from the guess. If the
+    solve from the guess fails, the solve from the warm start is continued from its last iterate,
+    without a budget.
 
     Parameters
     ----------
     solve : callable
-        (start, progress) -> solution.
+        Function that solves the problem once from a starting point, with mesh refinement if asked
+        for: (start, progress) -> solution. It calls its argument `progress` at each iteration.
     start : Start
         Warm start and guess; the warm start contains the recorded iterations of the cold start.
     tolerance : float or None
@@ -161,6 +164,7 @@ def within_budget(
     Returns
     -------
     Solution or JointSolution
+        Result of the last of these solves, converged or not.
     """
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
     known = known if known is not None and known.tolerance == demand else None
@@ -181,11 +185,10 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined if there is a tolerance.
-
-    If a refinement is interrupted or fails, the solution on the most accurate finished mesh is
-    returned, with the status of the failure. Doubts about the result are recorded in its status and
-    message, for example if an interpolation table is evaluated outside the range of its data.
+    The mesh is refined if the caller gave a tolerance, or gave no mesh. If a refinement is
+    interrupted or fails, the solution on the most accurate finished mesh is returned, with the
+    status of the failure. Doubts about the result are recorded in its status and message, for
+    example if an interpolation table is evaluated outside the range of its data.
 
     Parameters
     ----------
@@ -211,6 +214,7 @@ def carried_out(
     Returns
     -------
     Solution or JointSolution
+        Result of the solve, converged or not.
 
     Raises
     ------

@@ -88,8 +88,9 @@ class WarmStart:
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
-        Multipliers of all other constraints: conditions (constraints at declared times, the members
-        of the continuous set), and definitions of integrals that are unknowns.
+        Multipliers of all other constraints. These are the conditions, and the definitions of those
+        integrals that are unknowns of the nonlinear program. A condition is a constraint on values
+        at single times, such as an end condition, instead of over the whole horizon.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -124,6 +125,7 @@ class WarmStart:
         Parameters
         ----------
         compiled : CompiledModel
+            Equations of the model, as CasADi functions.
         """
         held, declared = self.trajectory, compiled.declared
         return (
@@ -351,7 +353,7 @@ class Start:
 
     @property
     def cold(self) -> Start:
-        """The same starting point without the warm start."""
+        """Copy of this starting point without its warm start."""
         return replace(self, warm=None)
 
     @property

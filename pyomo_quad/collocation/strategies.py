@@ -123,9 +123,9 @@ class Strategy:
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
         Limit of iterations of the solve on each mesh; infinite for no limit. None for the whole
-        solve from a warm start, which has another limit: an earlier solve from the guess is on
-        record, and the solve from the warm start may take as many iterations as that solve took, on
-        the first mesh and on all meshes together.
+        solve from a warm start. A warm start may contain a record of the iterations that an earlier
+        solve from the guess took on the first mesh, and on all meshes together. These two numbers
+        then limit the iterations of the whole solve from the warm start.
     times : int
         How often the strategy may be tried.
     """

@@ -133,7 +133,11 @@ def _function(solution: Solution, density: FloatArray) -> Callable[[float], floa
 
 
 def _fraction(solution: Solution, time: float) -> FloatArray:
-    """Return a time of the model's continuous set as a fraction of the set's range, shape (1,)."""
+    """Return a time of the model's continuous set as a fraction of the set's range, shape (1,).
+
+    `solution` is a solution of the model; `time` lies between the first and the last member of the
+    continuous set.
+    """
     first, last = solution.problem.values.declared_horizon
     return np.array([(time - first) / (last - first)])
 

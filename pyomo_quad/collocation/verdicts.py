@@ -132,14 +132,15 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
     """Return the name of a violated equation, and a line for a message.
 
-    The line gives the name of the equation, its element and time, and the violation.
+    The line gives the name of the equation and the violation. For an equation over time, it also
+    gives the time, the element of the mesh and the collocation point of the violation.
 
     Parameters
     ----------
     failed : Solution
         Result of the failed solve.
     row : int
-        Row of the equation in the nonlinear program.
+        Index of the equation among the constraints of the nonlinear program.
     slack : float
         Violation of the scaled equation. The line gives the violation in the equation's own unit.
     """

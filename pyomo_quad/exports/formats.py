@@ -203,9 +203,10 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 
 
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
-    """Return the largest distance [m] between a plan and a cubic spline through its samples.
+    """Return the largest distance [m] between a plan and a cubic spline through samples of it.
 
-    The spline has the plan's position and velocity at each sample.
+    The spline has the plan's position and velocity at each sample. The distance is used as the
+    deviation of a ROS 2 trajectory, which contains only samples, from the plan.
 
     Parameters
     ----------

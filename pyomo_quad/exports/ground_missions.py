@@ -99,7 +99,19 @@ class _Item:
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """Content of a ground station's mission file: home position, commands, fence, rally points."""
+    """Content of a ground station's mission file: home position, commands, fence, rally points.
+
+    Attributes
+    ----------
+    home : GeodeticOrigin
+        Home position of the mission on earth, from which heights count.
+    items : tuple of _Item
+        Commands of the mission, in order.
+    fence : mapping
+        Entry `geoFence` of a QGroundControl file; empty if the file has no fence.
+    rally : tuple of dict
+        Latitude [deg], longitude [deg] and height above the home position [m] of each rally point.
+    """
 
     home: GeodeticOrigin
     items: tuple[_Item, ...]
@@ -414,7 +426,8 @@ def _place_of(
         Content of the mission file.
     first : _Place or None
         First place of the mission, None at the start of the mission. A return to the launch place
-        leads to the first place, and a landing ends at the height of the first place.
+        leads to the first place. A landing leads to a place at the height of the first place,
+        because the flight of the scenario ends with hovering above the ground.
     last : _Place or None
         Last place before this command, None at the start of the mission. A command without latitude
         and longitude takes them from the last place, or from the home position if there is none.
@@ -620,7 +633,8 @@ def _inscribed(
     Parameters
     ----------
     home : GeodeticOrigin
-        Home position of the mission.
+        Home position of the mission, used as the origin of the axes x and y [m] in which the
+        polygon is constructed.
     centre : mapping
         Latitude and longitude of the circle's centre [deg].
     radius : float

@@ -267,12 +267,13 @@ class Motion:
         return interpolate(self.mesh, self._states(names), self._fractions(t), with_start=True)
 
     def slopes(self, t: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Evaluate the time derivatives of states at times after the start.
+        """Evaluate the time derivatives of states at times that count from the start of the flight.
 
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times [s].
+            Times [s]. For a time before the start or after the end of the flight, the derivative at
+            the start or the end is returned.
         names : sequence of str
             Names of the states.
 

@@ -389,17 +389,20 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        The refinement may end if all errors meet the tolerance. If limits become active or inactive
-        inside elements, or if controls are damped (penalised for their distance from the controls
-        of the previous mesh), the last relative change of the objective must also be less than half
-        the tolerance. With damping, the next meshes may be the same meshes again.
+        The refinement may end if all errors meet the tolerance. A further condition applies if
+        limits become active or inactive in or beside elements, or if controls are damped (penalised
+        for their distance from the controls of the previous mesh). The relative change of the
+        objective since the previous mesh must then be at most half the tolerance. This condition is
+        dropped if a later simulation corrects the controls by feedback, or if the next meshes would
+        be the same as the present ones and no controls are damped. With damping, the next meshes
+        may be the same as the present ones.
 
         Parameters
         ----------
         solution : Solution or JointSolution
             Solution on the present meshes.
         errors : tuple of ErrorEstimate
-            Its estimated errors, one for each horizon.
+            Estimated errors of `solution`, one for each horizon.
         is_damped : bool
             Whether controls were damped on the present meshes.
         """
@@ -471,8 +474,9 @@ class _Refinement(Generic[S]):
     def _expected_change(self) -> float | None:
         """Return the expected change of the objective from the present meshes to the next ones.
 
-        The last change of the objective, in its unit, serves as the estimate. The result is None if
-        that change is unknown.
+        The estimate is the change of the objective by the last solve: the difference between the
+        present meshes and the meshes before them, in the unit of the objective. The result is None
+        if this difference is unknown, as on the first mesh and directly after a restart.
         """
         last = self.before[0]
         if last is None:
@@ -483,15 +487,15 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The complementarity gap is the error that Ipopt's barrier leaves in the objective. The
-        result is this gap divided by the objective. `solution` is the solution on the present
-        meshes. `errors` has one item for each horizon, the estimated errors of `solution`.
+        The complementarity gap is the amount by which Ipopt's barrier changes the objective. The
+        relative gap is this amount divided by the objective. `solution` is the solution on the
+        present meshes. `errors` has one item for each horizon, the estimated errors of `solution`.
 
-        The result is 0.3 times an error on the present meshes, limited to the range from 0.2 times
-        the tolerance to 1e-3. The error is the relative error of objective and integrals, as
-        estimated in `errors`. If bounds are imposed between the collocation points, the error is
-        the larger of this estimate and the relative change of the objective since the previous
-        mesh. A smaller complementarity gap is not useful while the times at which limits become
+        The result is 0.3 times the relative error of objective and integrals that `errors` states,
+        but at least 0.2 times the tolerance and at most 1e-3. If bounds are imposed between the
+        collocation points, and the objective has changed since the previous mesh by a larger
+        relative amount than that error, the result is computed from the change instead of the
+        error. A smaller complementarity gap is not useful while the times at which limits become
         active change from mesh to mesh.
         """
         unknown = max(e.of_integrals for e in errors)
@@ -612,14 +616,16 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    The solution must have converged, and two conditions must hold. First, the error of every
-    element is at most `fine`. Two parts of the error, which are estimated only if all other errors
-    meet the tolerance, are not counted: the possible costs of control switches at a wrong time, and
-    the costs of state errors relative to the objective's own magnitude. Second, the complementarity
-    gap (the error that Ipopt's barrier leaves in the objective) exceeds `tolerance`, or the scaled
-    objective is so small that it has no influence on Ipopt's convergence test.
+    `solution` is the solution, which has a single horizon. `errors` holds the error estimate of
+    `solution`. `tolerance` is the required relative error, and `fine` an upper limit on the errors
+    of the elements.
 
-    `solution` has a single horizon; `errors` holds its error estimate.
+    The result is true if the solution has converged and two conditions hold. First, the error of
+    every element is at most `fine`. The attributes `switches` and `costs` of the error estimate are
+    not counted in this error, because they are estimated only if all other errors meet the
+    tolerance. Second, the complementarity gap (the amount by which Ipopt's barrier changes the
+    objective, relative to the objective) exceeds `tolerance`, or the scaled objective is so small
+    that it has no influence on Ipopt's convergence test.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -709,8 +715,8 @@ def _cut_off(reached: _Reached[S]) -> S:
     before it meets the tolerance again, for example because it has used up the allowed number of
     meshes. `reached` holds the solution that met the tolerance before the restart; this solution is
     returned. Its status and message are changed to state that better controls exist. If the
-    solution is itself the result of an earlier restart, its estimated error is at least the
-    improvement of the objective by that restart.
+    solution is itself the result of an earlier restart, its estimated error is raised, where it is
+    smaller, to the relative improvement of the objective by the earlier restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -747,7 +753,8 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
     inaccurate.
 
     `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
-    is at most `tolerance`. The change is relative to the objective's nominal magnitude.
+    is at most `tolerance`. The change is divided by a reference magnitude of the objective, the
+    property `nominal_objective` of `solution`.
     """
     *before, now = solution.history
     accepted = [record for record in before[:-1] if record.error <= tolerance]
@@ -775,8 +782,9 @@ def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase, for a message, on the control that changed most since the previous mesh.
 
     The phrase gives the name of the control, and the time and size of its largest change. It is
-    empty if there is no control. `solution` is the present solution, and `before` has the solution
-    on the previous mesh for each horizon.
+    empty if there is no control, or no solution to compare with. `solution` is the present
+    solution. `before` has one item for each horizon: the solution on the previous mesh, or None on
+    the first mesh and directly after a restart.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

@@ -166,10 +166,11 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether controls are expected to reach their limits with kinks instead of jumps. Jumps are
-        expected of controls that enter the equations linearly. From the second mesh on, a penalty
-        keeps such controls near the controls on the previous mesh. If the solution on such a mesh
-        was found without this penalty, kinks are expected.
+        Whether controls are expected to reach their limits with kinks instead of jumps. A control
+        that enters the equations linearly is expected to jump. From the second mesh of a refinement
+        on, a penalty keeps the controls of this kind near the controls on the previous mesh. Kinks
+        are expected if the present mesh is the second or a later one, and was solved without this
+        penalty.
     """
 
     coarse: frozenset[int]
@@ -286,9 +287,9 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
 
     The control is constant in the sliver: if the control satisfies its limits at the collocation
     point, it satisfies them in the whole sliver. The error of the states decreases with the square
-    of the sliver's width. If a neighbour of the element already has degree 1, that earlier sliver
-    has not enclosed the whole jump. The element is then split into three equally wide elements
-    instead.
+    of the sliver's width. If a neighbour of the element already has degree 1, the neighbour is a
+    sliver from an earlier mesh, which has not enclosed the whole jump. The element is then split
+    into three equally wide elements instead.
 
     Parameters
     ----------

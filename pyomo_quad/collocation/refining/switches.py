@@ -111,6 +111,7 @@ def _hamiltonians(
     Parameters
     ----------
     solution : Solution
+        Solution on the present mesh, with its multipliers.
     points : ndarray of int, shape (n,)
         Collocation points at which states, rates, controls and costates are taken.
     fractions : ndarray, shape (n,)
