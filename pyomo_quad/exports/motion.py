@@ -317,7 +317,7 @@ class Motion:
         return np.asarray(Rotation.from_euler("ZYX", roll_pitch_yaw[:, ::-1]).as_quat())
 
     def samples(self, rate_hz: float) -> FloatArray:
-        """Return equally spaced times from start to end of the flight [s].
+        """Return n equally spaced times from start to end of the flight [s], shape (n,).
 
         Parameters
         ----------
@@ -404,7 +404,9 @@ _MOST_CHECKED = 20_001
 
 
 class PolynomialTrajectory:
-    """Piecewise polynomial trajectory of position and yaw, with RotorPy's interface.
+    """Piecewise polynomial trajectory of position and yaw, for use in the simulator RotorPy.
+
+    RotorPy needs a trajectory to have the method `update`, which gives the motion at a time.
 
     Parameters
     ----------
@@ -522,8 +524,8 @@ def piece_deviation(
     Returns
     -------
     position, yaw : float
-        Largest distance between the two positions at the same time [m], and largest difference of
-        the two yaw angles [rad].
+        Largest distance between the positions that plan and pieces have at the same time [m], and
+        largest difference between their yaw angles [rad].
     """
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))

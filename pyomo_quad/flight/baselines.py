@@ -253,9 +253,10 @@ class ClosedLoopFlight:
     Attributes
     ----------
     flown : Flown
-        Samples of the vehicle; its controls are the rotor accelerations applied.
+        Samples of the vehicle's states, controls (rotor accelerations) and energy at n times.
     controller_states : ndarray, shape (n, 22)
-        States of the controller, in the order of `CONTROLLER_STATES`, at the n times of `flown`.
+        States of the controller at the same times, in the order of the names in
+        `CONTROLLER_STATES`.
     evaluations : int
         Number of evaluations of the right-hand side by the integrator.
     """
@@ -295,8 +296,9 @@ def fly(
     tolerance : float, optional
         Relative and absolute tolerance of the integrator.
     last : ndarray, shape (22,), optional
-        States of the controller (`CONTROLLER_STATES`) at the first time, if it followed another
-        reference until then; None if the controller starts with this flight.
+        States of the controller at the first time, in the order of the names in
+        `CONTROLLER_STATES`, if the controller followed another reference until then; None if the
+        controller starts with this flight.
 
     Returns
     -------
@@ -565,7 +567,10 @@ def reference_path(
 
 
 def fly_open_loop(scenario: Scenario, plan: Plan, dynamics: Dynamics) -> Flight:
-    """Simulate the rotor accelerations of a plan without feedback, and verify the flight.
+    """Simulate a vehicle that applies a plan's controls without feedback; verify the flight.
+
+    The flight is simulated by two integrators. It is verified if their results agree and if the
+    battery can give the power.
 
     Parameters
     ----------
@@ -862,9 +867,10 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
     """Raise an error for a vehicle model that lacks a state which the controller measures.
 
-    The controller needs the position, velocity, attitude and body rates of a quadrotor
-    (`MEASURED_STATES`). `dynamics` is the vehicle model with its states. `scenario` is the scenario
-    of the model; the error message contains the name of the scenario.
+    The controller needs the position, velocity, attitude and body rates of a quadrotor; the tuple
+    `MEASURED_STATES` has the names of these states. `dynamics` is the vehicle model with its
+    states. `scenario` is the scenario of the model; the error message contains the name of the
+    scenario.
 
     Raises
     ------

@@ -233,10 +233,10 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Random samples of one limited quantity of flights in turbulence at a goal or waypoint.
+    """Random samples of the distance or speed of flights in turbulence at a goal or waypoint.
 
-    The quantity is the distance from the place, or the speed. There are samples for each instant at
-    which the mission limits the quantity.
+    The mission limits this quantity: either the distance of the vehicle from the goal or waypoint,
+    or its speed there. There are samples for each instant at which the limit applies.
 
     Attributes
     ----------

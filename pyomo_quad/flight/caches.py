@@ -1,6 +1,7 @@
-"""Caches that keep the most recently compiled problems and steady flights of a process.
+"""Caches of the compiled problems and the calculators of steady flight that were made last.
 
-A compiled problem is the optimal control problem of a scenario, ready to be solved.
+A compiled problem is the optimal control problem of a scenario, ready to be solved. A calculator of
+steady flight (class `SteadyFlight`) computes flight at constant velocity.
 """
 
 from __future__ import annotations

@@ -175,7 +175,7 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status if the solve failed.
+            The solver's status for the best solution if that solution failed; None otherwise.
         """
         known = self.start.flight if isinstance(self.start, AlongShortest) else None
         self.solution, self.routes = RouteFlights(self.mission, known).best()
@@ -452,7 +452,8 @@ class Candidate:
     def _retried(self, trajectory: Trajectory) -> str:
         """Solve the failed mission again from a trajectory; keep the solution if this succeeds.
 
-        `trajectory` is the initial guess; the first mesh is its mesh.
+        `trajectory` is the initial guess. The mission is solved first on the mesh of this
+        trajectory; this mesh is then refined.
 
         Returns
         -------
@@ -536,7 +537,10 @@ class Candidate:
     # Verification by a simulated flight
 
     def is_solved(self) -> bool:
-        """Return whether there is a converged solution whose controls can be simulated."""
+        """Return whether the solver converged for the solution found so far.
+
+        The controls of such a solution can be simulated, even if its mesh is not fine enough.
+        """
         return self.found.status.is_solved
 
     def fly(self) -> None:
@@ -614,14 +618,16 @@ class Candidate:
     def tighten(self) -> str | None:
         """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
-        The mesh is refined where the simulated flight broke a limit. In a long flight without
-        feedback, small errors of the mesh elements add up, so that the simulated flight may miss
-        the goal although each element meets the tolerance.
+        The tolerances are reduced because small errors of the mesh elements add up in a long flight
+        without feedback: the simulated flight may miss the goal although each element meets the
+        tolerance. The first mesh of the new solve is the mesh of the present solution, with
+        shorter elements where the simulated flight entered keep-out zones.
 
         Returns
         -------
         str or None
-            The new tolerance, as text; None if the solve does not converge.
+            The attribute `tolerance` of the new solve, as text; None if the solve does not
+            converge.
         """
         found, asked = self.found, self.scenario.solver.accuracy
         plan, figures = self.plan, FIGURES[asked]

@@ -157,7 +157,7 @@ def _per_rotor(patterns: Sequence[Column], rotors: Sequence[int]) -> tuple[Colum
 
 
 def columns_of(rotors: Sequence[int]) -> tuple[Column, ...]:
-    """Return all columns of a vehicle's table other than time, in the order of the table.
+    """Return all columns of the table of a flight except the time, in the order of the table.
 
     `rotors` has the numbers of the vehicle's rotors, from 1.
     """

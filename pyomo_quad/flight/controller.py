@@ -73,18 +73,20 @@ class EquatedRates:
     def angle_accelerations(
         self, _attitude: Vector, _body_rates: Vector, body_accelerations: Vector
     ) -> Vector:
-        """Return the body accelerations, which equal the accelerations of the angles [rad/s^2].
+        """Return the second time derivatives of roll, pitch and yaw [rad/s^2].
 
-        The angles are roll, pitch and yaw.
+        In these kinematics they equal `body_accelerations`, the angular accelerations about the
+        body axes [rad/s^2].
         """
         return body_accelerations
 
     def body_accelerations(
         self, _attitude: Vector, _body_rates: Vector, angle_accelerations: Vector
     ) -> Vector:
-        """Return the accelerations of the angles, which equal the body accelerations [rad/s^2].
+        """Return the angular accelerations about the body axes [rad/s^2].
 
-        The angles are roll, pitch and yaw.
+        In these kinematics they equal `angle_accelerations`, the second time derivatives of roll,
+        pitch and yaw [rad/s^2].
         """
         return angle_accelerations
 
@@ -92,7 +94,8 @@ class EquatedRates:
 class EulerRates:
     """Exact kinematics of the Euler angles, for rates and for accelerations.
 
-    The rates follow Beard and McLain (2012), eq. (3.3), the accelerations its time derivative.
+    The rates follow from eq. (3.3) of Beard and McLain (2012), and the accelerations from the time
+    derivative of this equation.
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
@@ -634,9 +637,9 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The acceleration of the plan is not reduced, because a plan keeps the limits of the
-        vehicle. If it needs more thrust or tilt than the set allows, the set is enlarged to include
-        it.
+        The acceleration of the plan is not reduced, because a plan keeps the limits of the vehicle.
+        Where the thrust or tilt limit of this set is less than the acceleration of the plan
+        requires, the limit is raised to the required value.
 
         Parameters
         ----------
@@ -665,8 +668,9 @@ class ThrustEnvelope:
         """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. `planned` is the acceleration of the plan; if it needs more thrust or tilt than
-        the limits, these are widened until they allow it.
+        direction. `planned` is the acceleration of the plan [m/s^2]. Where the thrust or tilt limit
+        is less than the acceleration of the plan requires, the limit is raised to the required
+        value.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -991,9 +995,9 @@ def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
     Returns
     -------
     callable
-        Takes the input from the reference (`AdaptiveController.command`), the vehicle's states and
-        the controller's states; returns rotor accelerations [rad/s^2] and the time derivatives of
-        the controller's states.
+        Takes the controller's input, the vehicle's states and the controller's states; returns the
+        rotor accelerations [rad/s^2] and the time derivatives of the controller's states. The
+        method `AdaptiveController.command` computes the input from a reference path.
     """
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)

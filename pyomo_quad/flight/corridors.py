@@ -6,20 +6,20 @@ mission is free, the mission states this price; if the duration is fixed, the pr
 that the cheapest route takes this duration.
 
 Corridors are found on a grid of points about start and goal.  Straight lines join each point of the
-grid to 16 neighbours, except through keep-out zones and where the wind is unknown.  The cost of a
-line is the cost of steady flight along it.  At airspeed a, ground speed g and power P(a), this is
-(P(a) + price of time) / g per metre, where g is chosen to make the cost least.  The airspeed
-follows from g and from the wind at both ends and in the middle of the line; the power is tabulated
-once for all airspeeds.  If the field changes with time, the wind at a place is taken at the time
-when a flight at constant speed would pass the place.
+grid to 16 neighbours.  Lines through keep-out zones, and lines where the wind is unknown, are not
+used.  The cost of any other line is the cost of steady flight along the line.  At airspeed a,
+ground speed g and power P(a), this is (P(a) + price of time) / g per metre, where g is chosen to
+make the cost least.  The airspeed follows from g and from the wind at both ends and in the middle
+of the line; the power is tabulated once for all airspeeds.  If the field changes with time, the
+wind at a place is taken at the time when a flight at constant speed would pass the place.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
-every grid point.  The cheapest of these routes is the first corridor.  The next corridor is the
-cheapest route through a grid point that lies farther than a given separation from all corridors
-found so far; the search ends when this route costs much more than the first [1]_.  A route that is
-found in this way may make a needless detour through its grid point. Therefore corners are removed
-where a straight line costs no more, and the route is discarded if it then coincides with an earlier
-corridor.
+every grid point.  The cheapest of these routes is the first corridor.  For the next corridor, only
+grid points whose distance from all routes found so far exceeds a given separation are considered;
+the corridor is the cheapest of the routes through these points.  The search ends when this route
+costs much more than the first corridor [1]_.  A route that is found in this way may make a needless
+detour through its grid point.  Therefore corners are removed where a straight line costs no more,
+and the route is discarded if it then coincides with an earlier corridor.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
    ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
@@ -270,6 +270,8 @@ def corridor_journeys(
 
 class Corridors:
     """Search for cheap routes that lie apart (corridors) between two waypoints in a wind field.
+
+    The flight from the first waypoint to the second is called a leg.
 
     Parameters
     ----------

@@ -234,9 +234,10 @@ class _MeanFlight:
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the joint states and the commands to the controller at n given times [s].
 
-        Their shapes are (n, n_joint) and (n, `COMMAND_SIZE`). A joint state holds the states of
-        vehicle, turbulence filters and controller, and the energy. The commands are the
-        controller's input, which it computes from the plan.
+        A joint state holds the states of vehicle, turbulence filters and controller, and the
+        energy; the joint states have shape (n, n_joint). The commands are the controller's input,
+        computed from the plan, such as the position to follow. They have shape (n, n_command),
+        where n_command is the constant `COMMAND_SIZE`.
         """
         flight = fly(
             dynamics=self.dynamics,

@@ -94,7 +94,7 @@ def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray
 
 
 def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
-    """Return displacements of the path of a flight that lead it out of the zones that it enters.
+    """Return displacements of a flight's path that lead the flight out of keep-out zones.
 
     Implements docs/theory/tracking.md, eq. (8). Other limits of the airspace, such as the least
     height above the ground, are treated like zones.
