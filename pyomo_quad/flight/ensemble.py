@@ -150,8 +150,9 @@ class FlownOften:
     t : ndarray, shape (n_samples,)
         Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
-        Name of a quantity (position, speed, tilt, energy, or distance from the reference; see
-        `TRACKS`) -> its values over time for each of n flights.
+        Name of a quantity -> its values over time for each of n flights. The quantities are
+        position, speed, tilt, energy and distance from the reference; the constant `TRACKS` holds
+        their names.
     endings : tuple of Ending
         Energy, arrival and broken limits of each flight.
     """
@@ -221,7 +222,7 @@ class EnsembleSimulation:
         Raises
         ------
         TimeIsUpError
-            If the time limit of the command has passed.
+            If the limit on processor time, `solver.time_limit` in the scenario, has passed.
         """
         keep_time()
         steps = np.floor(0.5 * (self._times[1:] + self._times[:-1]) / LONGEST_STEP_S).astype(int)

@@ -93,7 +93,8 @@ class Flight(Summarised):
     name : str
         Name in comparisons, such as "optimal", "adaptive/quintic" or "open_loop/plan".
     frame : DataFrame
-        Table of the flight, one row per time, with the columns of `columns.flight_columns`.
+        Table of the flight, one row per time; the function `columns.flight_columns` makes its
+        columns.
     energy_J : float
         Energy spent, integrated together with the equations of motion.
     duration_s : float
@@ -113,7 +114,8 @@ class Flight(Summarised):
         Computing time of the simulation, or of the plan [s].
     owed_energy_J : float
         Energy needed to reach the required final state from the flight's final state [J], estimated
-        from the costates of a plan; NaN without a plan whose costates apply.
+        from the costates of a plan. It is NaN without a plan, or if the plan was made for another
+        wind (the forecast), because its costates are then those of another problem.
     broken_limits : tuple of str
         Every limit that the flight violates by more than the tolerance, in words with the amount.
         The limits of the model (path inequalities and bounds) come first, in order of decreasing
@@ -121,8 +123,9 @@ class Flight(Summarised):
     resolves : tuple of Resolve
         Record of each re-planning solve during the flight.
     doubt : str
-        Reason why a flight under feedback is not verified, with the value found and the value
-        allowed.
+        Reasons why a simulated flight is not verified, each with the value found and the value
+        allowed: the two integrations differ too much, or the battery lacks power, charge or
+        voltage. Empty if there is no such reason.
     """
 
     name: str
@@ -207,11 +210,11 @@ class Flight(Summarised):
         owed_energy_J : float, optional
             Energy needed to reach the required final state from the flight's final state [J].
         allowed : mapping, optional
-            Name of a limit without its index -> additional tolerance on its violation, in the unit
-            of the limit.
+            Name of a limit without its index -> second tolerance on its violation, in the unit of
+            the limit. A limit counts as broken only if its violation exceeds this tolerance and the
+            one that `accuracy` sets.
         accuracy : Accuracy, optional
-            Accuracy required of the plan. This accuracy level sets the tolerance on the relative
-            violation of every limit.
+            Accuracy level, which sets the tolerance on the relative violation of every limit.
         """
         miss = terminal_miss_of(dynamics, flown.states[-1], wanted)
         breaches = dynamics.violations(flown.t, flown.states, flown.controls)

@@ -1,7 +1,8 @@
 """First plan of a mission: a flight along its shortest route, without an optimisation.
 
-The vehicle flies along the lines of the route, smoothed at corners, at a speed that steady flight
-suggests. Attitude and rotor speeds follow from the acceleration of this path (differential
+The vehicle flies along the lines of the route, smoothed at corners. If the duration is free, its
+speed is at most the speed of least cost in steady flight; otherwise the speed follows from the
+duration. Attitude and rotor speeds follow from the acceleration of this path (differential
 flatness). A simulation under feedback then turns the path into a flight that satisfies the
 equations of motion. The plan spends more energy than the optimum, but it is available before the
 first solve has ended. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to (7).
@@ -66,8 +67,9 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    Several paths with different speeds and accelerations are tried, the fastest first, until the
-    simulated flight along one of them keeps all limits.
+    Several paths along the route are tried, with different speeds and accelerations. A path that
+    keeps the limits is simulated under feedback. The search ends when a simulated flight confirms
+    its plan, or after the second simulation.
 
     Parameters
     ----------
@@ -77,10 +79,11 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     Returns
     -------
     Plan or None
-        The plan with the result of its simulation; its error estimate is the relative difference
-        between its energy and that of steady flight along the route. None if there is no route, if
-        no path keeps the limits and lasts as long as the mission prescribes, if waypoints have
-        prescribed times or headings, or for a user's own model.
+        The plan that was simulated last, with the result of the simulation. The error estimate of
+        the plan is the relative difference between its energy and that of steady flight along the
+        route. None if there is no route, if no path keeps the limits and lasts as long as the
+        mission prescribes, if waypoints have prescribed times or headings, or for a user's own
+        model.
     """
     told = mission.told
     if not mission.problems.is_declared or any(
@@ -99,12 +102,15 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 def _first_usable(
     mission: MissionProblem, journey: Journey, fastest: float, least_energy: float
 ) -> Plan | None:
-    """Return the plan along the first path of a journey whose simulated flight keeps all limits.
+    """Return the plan along the first path of a journey whose simulated flight confirms it.
 
-    A journey is a route for each leg of the mission. `fastest` is the greatest speed [m/s], and
-    `least_energy` the energy with which the plan is compared [J]. A path that only cuts zones is
-    tried again with narrow corners. If no flight keeps all limits, the result is the plan of the
-    last flight, or None if there was none.
+    A journey is a route for each leg of the mission. Paths along `journey` with different speeds
+    and accelerations are tried in turn. `fastest` is the greatest speed [m/s]. `least_energy` is
+    the energy of steady flight along the journey, with which the plan's energy is compared [J]. If
+    all limits that a path breaks are limits of the airspace (zones, fence, floor, ceiling), a path
+    that stays closer to the lines of the route at corners is tried next. A path that breaks no
+    limit is simulated. If no simulation confirms its plan, the result is the plan simulated last,
+    or None if no path was simulated.
     """
     found: Plan | None = None
     flown, is_free = 0, mission.told.mission.is_free
@@ -129,11 +135,12 @@ def _first_usable(
 
 
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
-    """Return the path along a journey at a pace, within the limits on the duration.
+    """Return a smooth path along a journey, whose duration the mission allows.
 
-    A journey is a route for each leg of the mission `told`. If the duration of the path is not
-    within the limits, a path of the nearest allowed duration is made, at a speed of at most
-    `fastest` [m/s]. The result is None if there is no such path.
+    A journey is a route for each leg of the mission `told`. `pace` has the greatest speed and the
+    greatest accelerations of the path. If the duration of the path at this pace is not within the
+    mission's limits, a path of the nearest allowed duration is made; its speed may exceed that of
+    `pace`, up to `fastest` [m/s]. The result is None if there is no such path.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
@@ -165,8 +172,10 @@ def _stops(told: Scenario, journey: Journey) -> list[Stop]:
 def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
     """Return the greatest speed of a path along a journey [m/s].
 
-    If the duration is free, it is the speed of least cost along the first long leg, in steady
-    flight; otherwise only the limits of the mission bound it. A journey is a route for each leg.
+    `journey` is a route for each leg of the mission `told`. The greatest speed is somewhat below
+    the mission's speed limit, or 30 m/s without a limit. If the duration is free, it is also at
+    most the speed of least cost in the direction of the longest leg. The calculator of steady
+    flight, `steady`, gives this speed.
     """
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
@@ -179,10 +188,12 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 
 
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
-    """Return an unverified plan whose vehicle is on a path, and a solution with the same times.
+    """Return a plan whose vehicle is exactly on a path, and a solution with the same times.
 
-    The path follows a journey, which is a route for each leg of the mission. The solution is not
-    converged; it gives the plan its equations, with the duration and the passing times of the path.
+    `path` is the path, and `journey` the journey that the path follows: a route for each leg of the
+    mission. The plan has not been simulated. The solution is the initial point of a solve, without
+    any iteration, for the duration and the passing times of the path. The plan takes its equations
+    from this solution.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -211,11 +222,13 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
 
 
 def _broken(plan: Plan) -> tuple[Violation, ...]:
-    """Return the limits that a planned path breaks, so that it is not worth a simulation.
+    """Return the limits that the path of a plan breaks by too much for a simulation to succeed.
 
-    A simulated flight can be led out of zones that the path of `plan` cuts by a small distance. It
-    needs more thrust and tilt than the path, for feedback; the tolerances of a usable plan are left
-    to it.
+    `plan` is a plan whose vehicle is exactly on its path. Violations of zones and other limits of
+    the airspace by less than 0.1 m are left out, because they can be removed in the simulation. Of
+    the other limits, only violations that interpolation causes are left out. The wider tolerances
+    of a usable plan are not applied here: the simulated flight needs them, because its feedback
+    takes more thrust and tilt than the path.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
@@ -256,7 +269,9 @@ def _flat(
 ) -> Trajectories:
     """Return states and controls of a vehicle on a path, by differential flatness.
 
-    The thrust is the mass times the difference between the acceleration of the path and that by
+    `path` is the path, `dynamics` has the equations of the vehicle, and `steady` gives its state in
+    hover. The yaw angle follows from the headings at start and goal of the mission `told`. The
+    thrust is the mass times the difference between the acceleration of the path and that by
     weight and air alone; its direction and the heading determine the attitude, and its magnitude
     the common speed of the rotors. Implements docs/theory/geometric_plan.md, eqs. (5) and (6). The
     moments that turn the vehicle are neglected: feedback adds them in the simulation. Costates and
@@ -324,7 +339,12 @@ def _falling(dynamics: Dynamics, times: FloatArray, upright: FloatArray) -> Floa
 
 
 def _mesh(path: SmoothPath) -> Mesh:
-    """Return a mesh of equally long elements with boundaries at the passings of all corners."""
+    """Return a mesh that has element boundaries at the times at which a path passes its corners.
+
+    At a corner with a hover, both the beginning and the end of the hover are boundaries. The
+    elements between two successive times of this kind are equally long, at most 0.4 s. `path` is
+    the path.
+    """
     passed = np.unique([0.0, path.duration, *(t for pair in path.passings for t in pair)])
     kept = passed[np.diff(passed, append=inf) > _SAME_S]
     borders = [0.0]
@@ -338,7 +358,8 @@ def _mesh(path: SmoothPath) -> Mesh:
 def _headings(told: Scenario, path: SmoothPath, times: FloatArray) -> FloatArray:
     """Return the yaw angle at n times of a path [rad], shape (n,).
 
-    It turns from the heading at the start to that at the goal, with zero rate at both ends.
+    The yaw angle changes from the heading at the start to the heading at the goal of the mission
+    `told`, with zero rate at both ends. `path` gives the duration; `times` are the n times [s].
     """
     first, last = told.mission.start.yaw, told.mission.goal.yaw
     return first + (last - first) * quintic_progress(times / path.duration)

@@ -74,7 +74,11 @@ class OrderSearch:
 
     @property
     def line(self) -> str:
-        """One line that summarises the search for the order of the waypoints, with its accuracy."""
+        """Summary of the search for the order of the waypoints, in one line.
+
+        It states the number of waypoints, the largest fraction by which the cost of the order found
+        can exceed that of the best order, and the numbers of legs solved and of all legs.
+        """
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
             f"add up to at most {self.gap:.2%} above the best order; {self.solved} of {self.legs} "

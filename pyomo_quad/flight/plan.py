@@ -457,7 +457,8 @@ class Plan(Summarised):
     timings : mapping
         Computing time [s] of each phase: build, compile, solve and verify.
     routes : tuple of TriedRoute
-        The routes round keep-out zones that were tried, the shortest first.
+        Result for each route tried, round keep-out zones or through a wind field. The shortest
+        route is first; in a wind field, the route of least estimated energy.
     order_search : OrderSearch or None
         Result of the search for the order of the waypoints; None if the mission gives the order.
     warm_start : WarmStart or None
@@ -595,11 +596,13 @@ class Plan(Summarised):
         """Estimated fraction of the energy that a better flight near the plan may save.
 
         For a verified plan, the fraction is the smaller of two values: the plan's error estimate,
-        which includes the error of the energy, and the tolerance that the scenario requests. For
-        any other plan, it is the relative change of the objective from the second last to the last
-        mesh. If the plan was solved on one mesh only, it is the error estimate instead, which is
-        infinite if no error could be estimated. In both of these cases it is at least the energy
-        tolerance of the lowest accuracy, `quick`, because two meshes may agree by chance.
+        which includes the error of the energy, and the tolerance that the scenario requests.
+
+        For a plan that is not verified, the fraction is the relative change of the objective from
+        the second last to the last mesh. If such a plan was solved on one mesh only, the fraction
+        is the error estimate, which is infinite if no error could be estimated. For a plan that is
+        not verified, the fraction is never less than the energy tolerance of the lowest accuracy,
+        `quick`, because two meshes may agree by chance.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -744,17 +747,18 @@ class Plan(Summarised):
         return dataset_of(self.to_frame(rate_hz)).assign_attrs(told)
 
     def columns(self, times: FloatArray) -> dict[str, FloatArray]:
-        """Return the quantities of the plan at given times, by name of the column of `to_frame`.
+        """Return the quantities of the plan at given times, by name.
 
-        `times` has n times [s]; each quantity is an array of shape (n,).
+        `times` has n times [s]; each quantity is an array of shape (n,). The names are those of the
+        columns in the table of the plan, which the method `to_frame` returns.
         """
         return flight_columns(*self._sampled(times))
 
     def times(self, rate_hz: float | None = None) -> FloatArray:
-        """Return the times of the rows of `to_frame` [s].
+        """Return the times [s] of the rows in the table of the plan, which `to_frame` returns.
 
-        They are the times of the mesh nodes. If a sampling rate ``rate_hz`` [Hz] is given, they are
-        equally spaced times from the start to the end of the flight.
+        By default they are the times of the mesh nodes. If a sampling rate ``rate_hz`` [Hz] is
+        given, they are equally spaced times from the start to the end of the flight.
 
         Raises
         ------
@@ -788,10 +792,11 @@ class Plan(Summarised):
     def at(self, t: Sequence[float] | FloatArray) -> pd.DataFrame: ...
 
     def at(self, t: float | Sequence[float] | FloatArray) -> pd.Series | pd.DataFrame:
-        """Return the columns of `to_frame` at a time `t` [s], or at several times.
+        """Return all quantities of the plan at a time `t` [s], or at several times.
 
-        For a single time the result is a series, whose name is the time. For several times it is a
-        table with one row for each time, whose index is the time.
+        The quantities are the columns of the table that the method `to_frame` returns. For a single
+        time the result is a series, whose name is the time. For several times the result is a table
+        with one row for each time, whose index is the time.
 
         Raises
         ------
@@ -902,7 +907,8 @@ class Plan(Summarised):
         Parameters
         ----------
         folder : str or Path
-            A folder that is new, empty or an earlier report; it appears complete or not at all.
+            Folder for the report, which is new, empty or holds an earlier report. The new report
+            appears in the folder complete or not at all.
         figures : {"svg", "png", "all", "none"}, optional
             Formats of the figures.
 

@@ -157,8 +157,11 @@ def solve_scenario(
         Mission, vehicle, wind and settings.
     builder : callable, optional
         Takes a scenario and builds its Pyomo model; `build_model` by default.
-    warm_start, progress
-        As for `Planner.solve`.
+    warm_start : Plan or WarmStart, optional
+        A plan of a similar scenario, or a warm start stored in a plan file or by a sweep; the solve
+        starts from it.
+    progress : callable, optional
+        Called at each Ipopt iteration; returning False stops the solve.
 
     Returns
     -------

@@ -170,10 +170,11 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return the places of a mission in order, and their times.
+    """Return the places of a mission in order, and the times at which they are to be reached.
 
-    Each place is a list of position [m] and yaw [rad]; the places are start, waypoints and goal.
-    The times are in s.
+    The places are start, waypoints and goal. Each place is a list of x, y, z [m] and yaw [rad]; a
+    yaw that the mission does not prescribe is interpolated in time. The times are in s: zero for
+    the start, the prescribed time of each waypoint, and the duration for the goal.
 
     Raises
     ------
@@ -198,12 +199,21 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 
 
 def step(mission: Mission) -> ReferencePath:
-    """Return the reference path that jumps to each waypoint and to the goal."""
+    """Return the reference path that jumps to each waypoint of a mission in turn and to the goal.
+
+    The path is at the first waypoint from the start of the flight. At the time at which a waypoint
+    is left, the path jumps to the next waypoint or to the goal. Without waypoints the path is at
+    the goal from the start.
+    """
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 
 
 def quintic(mission: Mission) -> ReferencePath:
-    """Return the reference path from rest to rest of least squared jerk, of degree 5 in time."""
+    """Return the reference path from rest to rest with the least integral of the squared jerk.
+
+    The path is a polynomial of degree 5 in time from start to goal of the mission or, if the
+    mission has waypoints, a spline of this degree through the waypoints.
+    """
     return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
 
