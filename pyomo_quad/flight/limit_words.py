@@ -98,3 +98,8 @@ def breach_words(breach: Violation, unit: str) -> str:
     """
     size, plain = excess(breach, unit)
     return f"{limit_words(breach.name)} by {size:.2g} {plain}".rstrip()
+
+
+def percent(share: float) -> str:
+    """Return a fraction as a percentage with one significant digit, as in "0.02 %" or "30 %"."""
+    return f"{float(f'{100.0 * share:.1g}'):g} %"

@@ -557,6 +557,15 @@ class Plan(Summarised):
         return self.status is PlanStatus.VERIFIED
 
     @property
+    def is_optimised(self) -> bool:
+        """Whether the plan was made from a solution of the optimal control problem.
+
+        It is False for the first plan of a long search, a flight along the shortest route that is
+        made without an optimisation; see docs/theory/geometric_plan.md.
+        """
+        return bool(self.history)
+
+    @property
     def is_flyable(self) -> bool:
         """Whether simulation confirmed the plan to some accuracy.
 

@@ -14,6 +14,7 @@ from itertools import islice
 from math import inf, isfinite
 from typing import TYPE_CHECKING
 
+from pyomo_quad.flight.limit_words import percent
 from pyomo_quad.flight.plan import LEAST_ENERGY_J, PlanStatus
 
 if TYPE_CHECKING:
@@ -242,7 +243,7 @@ class Search:
             is noted for the progress display, and nothing else is done.
         """
         self._note(energy_J)
-        share = _SHARE_FOR_BETTER if self._has_optimised else _SHARE
+        share = _SHARE_FOR_BETTER if _is_optimised(self.usable) else _SHARE
         if is_early or self._work_of_flights > share * self.work or self.deadline.is_over:
             return
         before, stage = self.usable, self.stage
@@ -250,20 +251,15 @@ class Search:
         for plan in islice(flown(), _MOST_PLANS):
             self.keep(plan)
             self._work_of_flights += _ITERATIONS_OF_FLIGHT * points
-            if before is not self.usable or self._has_optimised:
+            if before is not self.usable or _is_optimised(self.usable):
                 break
         self.stage = stage
-
-    @property
-    def _has_optimised(self) -> bool:
-        """Whether the best usable plan was made from a solution, not from a route alone."""
-        return self.usable is not None and bool(self.usable.history)
 
     def _note(self, energy_J: float) -> None:
         if isfinite(self._energy):
             self._uncertainty = abs(energy_J - self._energy) / max(abs(energy_J), LEAST_ENERGY_J)
         self._energy = energy_J
-        if self.usable is not None and not self._has_optimised:
+        if self.usable is not None and not self.usable.is_optimised:
             # The solution is a better estimate of the optimum than steady flight is.
             saving = 1.0 - energy_J / max(self.usable.energy, LEAST_ENERGY_J)
             self.usable = replace(self.usable, error_estimate=max(0.0, saving))
@@ -280,7 +276,7 @@ class Search:
             return
         if kept is None:
             self.usable = found
-        elif found.history and kept.history:
+        elif found.is_optimised and kept.is_optimised:
             if found.energy_uncertainty <= kept.energy_uncertainty:
                 self.usable = found
         elif found.cost <= kept.cost:
@@ -330,6 +326,11 @@ class Search:
         return replace(plan, status=PlanStatus.NOT_CONVERGED, message=message, failure=None)
 
 
+def _is_optimised(plan: Plan | None) -> bool:
+    """Return whether there is a plan, and the plan was made from a solution."""
+    return plan is not None and plan.is_optimised
+
+
 def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
@@ -356,11 +357,12 @@ def _proven(plan: Plan) -> str:
     if found is None:
         return ""
     off = abs(found.energy_difference_J) / max(abs(plan.energy), LEAST_ENERGY_J)
+    kind = "" if plan.is_optimised else "The plan follows the route and is not optimised. "
     return (
-        f"Flown in open loop, the plan ends {found.terminal_miss_m:.2g} m from the goal, exceeds "
-        f"no limit by more than {100 * max(found.max_violation, 0.0):.1g} %, and spends an energy "
-        f"within {100 * off:.1g} % of the planned energy; a better plan may save an estimated "
-        f"{100 * plan.energy_uncertainty:.1g} %."
+        f"{kind}Flown in open loop, the plan ends {found.terminal_miss_m:.2g} m from the goal, "
+        f"exceeds no limit by more than {percent(max(found.max_violation, 0.0))}, and spends an "
+        f"energy within {percent(off)} of the planned energy; a better plan may save an estimated "
+        f"{percent(plan.energy_uncertainty)}."
     )
 
 
@@ -372,4 +374,4 @@ def accuracy_words(plan: Plan) -> str:
     asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
     known = plan.energy_uncertainty
     words = f"accuracy requested: {asked.value}; reached: {'none' if reached is None else reached}"
-    return f"{words}; uncertainty of the energy: {100 * known:.1g} %" if isfinite(known) else words
+    return f"{words}; uncertainty of the energy: {percent(known)}" if isfinite(known) else words

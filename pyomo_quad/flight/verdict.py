@@ -16,6 +16,7 @@ import numpy as np
 from pyomo_quad.collocation import SolveError, Status
 from pyomo_quad.flight.displacement import moves_in_hovers, pushes_out
 from pyomo_quad.flight.flight import HELD_BREACH, Flown
+from pyomo_quad.flight.limit_words import percent
 from pyomo_quad.flight.plan import (
     LEAST_ENERGY_J,
     Plan,
@@ -290,7 +291,7 @@ def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
     if found.broken_limits:
         return f"its simulated flight exceeds a limit: {found.broken_limits[0]}"
     if isfinite(excess) and excess > FIGURES[accuracy].energy:
-        return f"it may spend up to {100.0 * excess:.1g} % more than the optimum"
+        return f"it may spend up to {percent(excess)} more than the optimum"
     return plan.message
 
 

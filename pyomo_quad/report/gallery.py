@@ -115,7 +115,7 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
         *flight_drawings(flights, plan.hover_energy_J, blowing, mission),
         *(one for one in way if set(one.needs) <= set(flights[0].frame)),
         *(_costates(plan) if plan.verification is not None else ()),
-        Drawing("mesh", "Mesh", caption, mesh),
+        *((Drawing("mesh", "Mesh", caption, mesh),) if plan.is_optimised else ()),
     )
 
 
@@ -559,7 +559,7 @@ def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -
 
 def _costates(plan: "Plan") -> tuple[Drawing, ...]:
     costates = plan.costate_frame()
-    if not set(COSTATES) <= set(costates):
+    if not plan.is_optimised or not set(COSTATES) <= set(costates):
         return ()
     caption = (
         "Costates: derivatives of the least remaining energy by each state. "

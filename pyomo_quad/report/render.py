@@ -10,7 +10,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.flight.limit_words import limit_amount, limit_words
+from pyomo_quad.flight.limit_words import limit_amount, limit_words, percent
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from pyomo_quad.study.comparison import against_hovering
 
@@ -175,6 +175,7 @@ def environment() -> Environment:
         "limit": limit_words,
         "one_line": lambda text: written(" ".join(text.split())),
         "rough": rough,
+        "percent": percent,
         "seconds": lambda value: f"{value:.6g} s",
         "yes_no": yes_no,
     }

@@ -58,7 +58,9 @@ def test_a_flight_along_the_route_arrives_and_keeps_all_limits(past_a_hut):
     assert depth(plan) <= 2e-3
     # The energy is that of the simulated flight.
     assert plan.energy == pytest.approx(plan.verification.flown_energy_J, rel=1e-6)
+    assert "is not optimised" in plan.message
     assert "may save an estimated" in plan.message
+    assert not plan.is_optimised
 
 
 def test_it_costs_more_than_the_optimum_but_no_more_than_it_says(past_a_hut):

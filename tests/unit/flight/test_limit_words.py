@@ -6,7 +6,7 @@ import pytest
 from pyomo_quad.collocation import Violation
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.flight import broken_limits
-from pyomo_quad.flight.limit_words import WORDS, breach_words, limit_words
+from pyomo_quad.flight.limit_words import WORDS, breach_words, limit_words, percent
 from pyomo_quad.scenario import scenario_from_mapping
 
 STOP = {"position": [1.0, 1.0, 1.0], "at": 2.0, "hold": 2.0, "speed_max": 3.0}
@@ -78,3 +78,12 @@ def test_limits_of_ones_own_keep_name_and_unit():
 )
 def test_rotors_waypoints_and_zones_keep_the_numbers_that_figures_give_them(name, said):
     assert limit_words(name) == said
+
+
+def test_a_percentage_has_one_digit_and_no_exponent_where_it_is_not_tiny():
+    assert [percent(x) for x in (0.31, 0.0266, 1e-3, 2.4e-6)] == [
+        "30 %",
+        "3 %",
+        "0.1 %",
+        "0.0002 %",
+    ]
