@@ -228,6 +228,7 @@ def synthetic_plan(
             name: np.interp(times, known, column) for name, column in flight.frame.items()
         },
         to_frame=lambda rate_hz=None: flight.frame.iloc[::10].reset_index(drop=True),
+        is_optimised=True,
         costate_frame=lambda: synthetic_costates(scenario),
     )
 
