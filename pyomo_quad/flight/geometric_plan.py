@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pyomo_quad.collocation import Mesh, SolveError
+from pyomo_quad.collocation import Mesh, SolveError, interpolate_rates
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.plan import Trajectories
@@ -51,12 +51,16 @@ _NARROW = 0.2
 _SHARE_OF_LIMIT, _FASTEST = 0.95, 30.0
 # Distance by which a path may enter a zone [m], so that a simulated flight is led out of it.
 _LED_OUT_M = 0.1
-# Violation of another limit, in the limit's unit, which interpolation between samples causes.
-_EXACTLY = 1e-2
+# Violation of another limit, relative to the larger of 1 and the limit, which interpolation between
+# samples and clipping of controls cause.
+_EXACTLY = 1e-3
 # Largest number of paths that are flown.
-_MOST_FLOWN = 2
+_MOST_FLOWN = 3
 # Length of the elements of the plan's mesh [s], and their degree.
 _ELEMENT_S, _DEGREE = 0.4, 3
+# Ends of shorter elements after the start and after the end of a hover [s], in which the thrust
+# follows the mass if a payload is released.
+_AFTER_RELEASE_S = (0.04, 0.08, 0.16)
 # Times that are nearer than this to one another are one boundary of elements [s].
 _SAME_S = 1e-6
 _YAW = "rigid_body.psi"
@@ -122,15 +126,15 @@ def _first_usable(
                 break
             plan, solution = _along(mission, journey, path)
             broken = _broken(plan)
-            if broken and all(is_of_airspace(breach) for breach in broken):
+            if not all(is_of_airspace(breach) for breach in broken):
+                break
+            if broken:
                 continue
-            if not broken:
-                found = verified(plan, solution, Accuracy.QUICK, least_energy, is_rough=True)
-                checked = found.verification
-                flown += 1
-                if flown == _MOST_FLOWN or (checked is not None and checked.is_usable):
-                    return found
-            break
+            found = verified(plan, solution, Accuracy.QUICK, least_energy, is_rough=True)
+            checked = found.verification
+            flown += 1
+            if flown == _MOST_FLOWN or (checked is not None and checked.is_usable):
+                return found
     return found
 
 
@@ -232,7 +236,11 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
-    return tuple(b for b in found if b.size > (_LED_OUT_M if is_of_airspace(b) else _EXACTLY))
+    return tuple(
+        breach
+        for breach in found
+        if (breach.size > _LED_OUT_M if is_of_airspace(breach) else breach.relative > _EXACTLY)
+    )
 
 
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
@@ -288,19 +296,19 @@ def _flat(
     yaw = _headings(told, path, times)
     upright = states.copy()
     upright[:, [*rotors, column[ROLL], column[PITCH]]] = 0.0
-    needed = acceleration - _falling(dynamics, times, upright)
+    falling = _acceleration(dynamics, times, upright)
+    needed = acceleration - falling
     size = np.linalg.norm(needed, axis=1)
-    hovering = upright[:1] * [name not in VELOCITY_STATES for name in names]
-    weight = np.linalg.norm(_falling(dynamics, times[:1], hovering))
+    upright[:, rotors] = steady.hover_speed
+    lifted = np.linalg.norm(_acceleration(dynamics, times, upright) - falling, axis=1)
     ahead, aside = (
         (needed[:, 0] * c + needed[:, 1] * s) / size
         for c, s in ((np.cos(yaw), np.sin(yaw)), (-np.sin(yaw), np.cos(yaw)))
     )
     roll, pitch = -np.arcsin(aside), np.arctan2(ahead, needed[:, 2] / size)
-    speeds = steady.hover_speed * np.sqrt(size / weight)
-    rolling, pitching, turning, spinning = (
-        np.gradient(row, times) for row in (roll, pitch, yaw, speeds)
-    )
+    speeds = steady.hover_speed * np.sqrt(size / lifted)
+    rolling, pitching, turning = (np.gradient(row, times) for row in (roll, pitch, yaw))
+    spinning = interpolate_rates(mesh, speeds[:, None], mesh.point_fractions) / path.duration
     for name, row in (
         (ROLL, roll),
         (PITCH, pitch),
@@ -319,21 +327,20 @@ def _flat(
         control_names=dynamics.control_names,
         costate_names=names,
         states=states,
-        controls=np.outer(spinning[1:], is_rotor),
+        controls=spinning * is_rotor,
         energy=np.zeros(len(times)),
         costates=np.zeros((mesh.points, len(names))),
         hamiltonian=np.zeros(mesh.points),
     )
 
 
-def _falling(dynamics: Dynamics, times: FloatArray, upright: FloatArray) -> FloatArray:
-    """Return the acceleration by weight and air alone at n times [m/s^2], shape (n, 3).
+def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> FloatArray:
+    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3), without controls.
 
-    `times` are in s, and `upright` has the states of a level vehicle whose rotors stand still,
-    shape (n, n_states).
+    `times` are in s, and `states` has the states at these times, shape (n, n_states).
     """
     none = np.zeros(len(dynamics.control_names))
-    rows = zip(times.tolist(), upright, strict=True)
+    rows = zip(times.tolist(), states, strict=True)
     rates = np.array([dynamics.rates(t, row, none) for t, row in rows])
     return rates[:, [dynamics.state_names.index(name) for name in VELOCITY_STATES]]
 
@@ -345,7 +352,10 @@ def _mesh(path: SmoothPath) -> Mesh:
     elements between two successive times of this kind are equally long, at most 0.4 s. `path` is
     the path.
     """
-    passed = np.unique([0.0, path.duration, *(t for pair in path.passings for t in pair)])
+    passed = [0.0, path.duration, *(t for pair in path.passings for t in pair)]
+    hovered = [t for pair in path.passings for t in pair if pair[1] > pair[0]]
+    passed += [t + after for t in hovered for after in _AFTER_RELEASE_S]
+    passed = np.unique(np.clip(passed, 0.0, path.duration))
     kept = passed[np.diff(passed, append=inf) > _SAME_S]
     borders = [0.0]
     for first, last in pairwise(kept.tolist()):
