@@ -355,8 +355,8 @@ def _mesh(path: SmoothPath) -> Mesh:
     passed = [0.0, path.duration, *(t for pair in path.passings for t in pair)]
     hovered = [t for pair in path.passings for t in pair if pair[1] > pair[0]]
     passed += [t + after for t in hovered for after in _AFTER_RELEASE_S]
-    passed = np.unique(np.clip(passed, 0.0, path.duration))
-    kept = passed[np.diff(passed, append=inf) > _SAME_S]
+    ordered = np.unique(np.clip(passed, 0.0, path.duration))
+    kept = ordered[np.diff(ordered, append=inf) > _SAME_S]
     borders = [0.0]
     for first, last in pairwise(kept.tolist()):
         borders += np.linspace(first, last, ceil((last - first) / _ELEMENT_S) + 1)[1:].tolist()
