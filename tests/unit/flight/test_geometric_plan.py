@@ -22,7 +22,7 @@ def mission(**changed):
     """Return a mission of 15 m past a hut, with changes."""
     told = {
         "name": "first",
-        "vehicle": {"use": "dji_phantom_2"},
+        "vehicle": {"use": "dji_phantom_2", "payload": 0.2},
         "battery": {"use": "phantom_2_pack"},
         "power": {"model": "motor"},
         "wind": {"use": "constant", "speed": 2.0, "direction": 1.0, "coupling": "drag"},
@@ -87,11 +87,15 @@ def test_the_states_of_a_path_satisfy_the_equations_of_motion(past_a_hut):
 
 
 def test_a_fixed_duration_and_a_hover_with_a_release_are_kept():
-    stop = {"position": [8.0, 8.0, 5.0], "hold": 2.0}
+    stop = {"position": [8.0, 8.0, 5.0], "hold": 2.0, "release": 0.2}
     plan = as_usable(geometric_plan(mission(waypoints=[stop], duration=25.0)))
     assert plan.status is PlanStatus.USABLE
     assert plan.duration_s == 25.0
     assert max(plan.verification.passing_misses_m) <= 0.1
+    # Before and after the release, the rotors lift different masses.
+    speeds = plan.trajectories.states_at(np.array([10.0, 24.5]))
+    rotors = [k for k, n in enumerate(plan.trajectories.state_names) if n.startswith("rotors.")]
+    assert speeds[1, rotors].mean() < 0.97 * speeds[0, rotors].mean()
 
 
 def test_there_is_no_first_plan_where_the_time_is_too_short_or_times_are_given():
