@@ -95,16 +95,17 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Return a copy of the declarations, with output states and their equations set aside.
+    """Return a copy of a model's declarations, with output states and their equations set aside.
 
-    An output state affects neither the objective nor other equations, for example an energy that is
-    only reported. In the copy, these states with their equations and initial conditions are moved
-    to attributes of their own (`Declarations.outputs` and others). They are then left out of the
-    nonlinear program, and are computed from its solution.
+    `declared` are the declarations: the variables, equations and objective of the model. An output
+    state affects neither the objective nor other equations, for example an energy that is only
+    reported. In the copy, the output states with their equations and initial conditions are moved
+    to separate attributes (such as `outputs`, the tuple of output states). The output states are
+    then left out of the nonlinear program, and are computed from its solution.
 
-    A state is an output state if the state and its time derivative appear in a single equality, it
-    has no bounds, and it is fixed at the start and nowhere else. The search is repeated, so that it
-    also finds output states on which only other output states depend.
+    A state is an output state if the state and its time derivative appear in a single equality, and
+    the state has no bounds and is fixed at the start and nowhere else. The search is repeated, so
+    that it also finds output states on which only other output states depend.
     """
     while True:
         found = _one_output(declared)
@@ -129,8 +130,9 @@ def set_outputs_aside(declared: Declarations) -> Declarations:
 def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
     """Return the names of the symbols that stand for a variable's values at declared times.
 
-    A declared time is a member of the continuous set; the name of such a symbol is, for example,
-    ``x[0.5]``. `slot` is the variable.
+    A declared time is a member of the continuous set. The symbol for the value of x at time 0.5 is
+    named ``x[0.5]``, for example. `declared` are the declarations of the model, among them these
+    symbols, and `slot` is the variable.
     """
     return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
 
@@ -138,8 +140,9 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     """Return an output state with its equation; None if the model has no output state.
 
-    An output state affects neither the objective nor other equations. An output state appears in a
-    single equality, has no bounds, and is fixed at the start and nowhere else.
+    An output state appears in a single equality, has no bounds, and is fixed at the start and
+    nowhere else. It affects neither the objective nor other equations. `declared` are the
+    declarations of the model: its variables, equations and objective.
     """
     uses = Counter[str]()
     for equation in declared.equations:
@@ -176,7 +179,8 @@ def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
     A condition is a constraint at declared times (members of the continuous set), or a value fixed
     at a declared time. An initial condition is a condition at the start of the horizon. The result
     is also False if the initial condition contains other variables, or if the objective contains
-    the state's value at a declared time. `slot` is the state.
+    the state's value at a declared time. `declared` are the declarations of the model, with its
+    conditions and objective, and `slot` is the state.
     """
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -199,19 +203,20 @@ def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
 @dataclass(frozen=True, kw_only=True)
 class SimpleBound:
-    """Bound on a single variable: of the Pyomo variable itself, or from a constraint on it alone.
+    """Bounds of a single variable, declared with the variable or by a constraint on it alone.
 
     Attributes
     ----------
     name : str
-        Name of the variable or constraint from which the bound comes.
+        Name of the variable or constraint that declares the bounds.
     variable : str
         Name of the bounded variable's symbol.
     slope : float
-        Coefficient of the variable in the constraint; 1 for bounds of the Pyomo variable itself.
+        Coefficient of the variable in the constraint; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
-        Bounds of the variable itself, already divided by `slope`. They are expressions of the
-        parameters and, if the bound holds over time, of the fraction of the horizon.
+        Lower and upper bound of the variable. Bounds of a constraint have been divided by `slope`.
+        The bounds are expressions of the parameters and, if they hold over time, of the fraction of
+        the horizon.
     """
 
     name: str
@@ -326,9 +331,10 @@ class DerivedFunctions:
 
 @dataclass(frozen=True, kw_only=True)
 class TableArguments:
-    """Arguments of interpolation tables, with functions that evaluate them.
+    """Arguments of the interpolation tables in a model, with functions for the arguments' values.
 
-    The functions serve to check whether a solution evaluates a table outside the range of its data.
+    The values serve to check whether a solution evaluates a table outside the range of its data. A
+    `TableUse` is one argument of a table in one equation, as an expression, with the table's range.
 
     Attributes
     ----------
@@ -544,13 +550,15 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Return a copy of the declarations, in which all bounds depend on data alone.
+    """Return a copy of a model's declarations, in which all bounds over time depend on data alone.
 
     The data are the fraction of the horizon and the parameters. If times are free (determined by
-    the solve), the time t in a rule such as `m.x[t] <= t` depends on static variables (variables
-    without time), and so does the limit of the constraint. Such a limit is subtracted from both
-    sides of the constraint, whose bound becomes zero. If a variable declares such a limit, the
-    limit becomes a constraint.
+    the solve), the time t in a constraint such as ``m.x[t] <= t`` depends on static variables
+    (variables without time). The bound of the constraint, here t, then depends on them too. In the
+    copy, such a bound is subtracted from both sides: the constraint becomes ``m.x[t] - t <= 0``. If
+    the bound of a variable depends on static variables, the bound is first written as a constraint.
+
+    `declared` are the declarations: the variables, equations and objective of the model.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -622,11 +630,12 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return an expression that is infinite where a limit is absent, and 0 elsewhere.
+    """Return the bound of a constraint from whose expression a limit has been subtracted.
 
-    The expression is the bound of a constraint from whose body the limit has been subtracted.
-    `unbounded` is a CasADi expression that is 1 where the limit is absent, else 0. `none` is the
-    infinite value: positive for an upper limit, negative for a lower limit.
+    The bound is a CasADi expression: infinite in the parts of the horizon in which the limit is
+    absent, and 0 in all other parts. `unbounded` is a CasADi expression that is 1 where the limit
+    is absent, else 0. `none` is the infinite value: positive for an upper limit, negative for a
+    lower limit.
     """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
@@ -684,9 +693,11 @@ def _table_arguments(
 
 
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
-    """Return a hash of the model's equations and names that does not depend on parameter values.
+    """Return a hash that identifies a model, whatever the values of its parameters.
 
-    The hash serves to check that a warm start belongs to the same model. `functions` are the CasADi
+    The hash serves to check that a warm start belongs to the same model. The hash is computed from
+    `functions`, from the names of equations and variables, and from the sense of the objective.
+    `declared` are the declarations of the model, which give these names. `functions` are the CasADi
     functions of all equations over time, of the conditions (constraints at declared times) and of
     the objective.
     """
@@ -707,11 +718,12 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 
 
 def _anonymous(function: Any) -> str:
-    """Return the code of a CasADi function as text, with neutral names of its symbols.
+    """Return the code of a CasADi function as text, without the names of the model's symbols.
 
-    `function` is the CasADi function. The names of the model's symbols contain members of its
-    continuous set, as ``x[0.5]``. The text must not depend on these times, because it determines
-    the hash that identifies the model's equations. The neutral names are therefore numbered.
+    `function` is the CasADi function. The names of the model's symbols contain members of the
+    model's continuous set, as in ``x[0.5]``. The text determines the hash that identifies the
+    model, and the hash must not depend on these times. In the text, the inputs of the function are
+    therefore named i0, i1 and so on.
     """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
@@ -768,11 +780,12 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of quantities in conditions that are unknowns of the nonlinear program.
+    """Return the names of those unknowns that a condition may bound.
 
-    A condition is a constraint at declared times (members of the continuous set). The quantities
-    are values of states at declared times, and static variables (variables without time). A
-    condition that contains only one of these quantities becomes a bound of the unknown.
+    A condition is a constraint at declared times (members of the continuous set). The unknowns are
+    the values of states at declared times, and the static variables (variables without time). A
+    condition that contains only one of these unknowns becomes a bound of the unknown. `declared`
+    are the declarations of the model.
     """
     states = {s.name for s in declared.states}
     at_points = {

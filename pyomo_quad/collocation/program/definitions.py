@@ -43,15 +43,19 @@ def definitions(
     Parameters
     ----------
     program : Transcription
+        Nonlinear program on one mesh.
     z : ndarray, shape (n_unknowns,)
-        Point at which the coefficients are evaluated.
+        Unknowns of the program. A coefficient counts as constant if it has the same value at all
+        collocation points, and again after a shift of all variables.
     among : iterable of int, optional
-        Positions of the algebraic variables that may be defined; all by default.
+        Indices (among all algebraic variables) of the variables that may be defined; all by
+        default.
 
     Returns
     -------
     list of Definition
-        Each is a tuple: position of the equation, position of the variable, its coefficient.
+        One tuple per defining equation: index of the equation among the path equations, index of
+        the defined variable among the algebraic variables, coefficient of this variable.
     """
     compiled, layout, path = program.compiled, program.layout, program.compiled.path
     n, count = layout.n_states, layout.n_algebraics

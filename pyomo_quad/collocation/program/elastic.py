@@ -1,11 +1,11 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
 There are two kinds of elastic programs. The first kind keeps the objective, and has slacks
-(permitted violations) in the equations over time. Its optimum serves as the initial point of a
-solve, because these equations can be satisfied near it. The second kind has slacks in every
-constraint, and minimises the sum of violations instead of the objective. If the least sum is
-positive, no choice of the unknowns within their bounds, near the point where the search ended,
-satisfies all constraints: the problem is reported as infeasible.
+(permitted violations) in the equations over time. The optimum of this program serves as the initial
+point of a solve, because the equations over time can be satisfied near this optimum. The second
+kind has slacks in every constraint, and minimises the sum of violations instead of the objective.
+If the least sum is positive, no choice of the unknowns within their bounds, near the point where
+the search ended, satisfies all constraints: the problem is reported as infeasible.
 """
 
 from __future__ import annotations

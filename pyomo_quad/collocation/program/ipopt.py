@@ -128,9 +128,10 @@ class SolverOptions:
     cold: tuple[tuple[str, Any], ...] = ()
 
     def suiting(self, tolerance: float) -> SolverOptions:
-        """Return settings whose `tol` is well below the tolerance of the mesh refinement.
+        """Return settings whose Ipopt tolerance suits the tolerance of the mesh refinement.
 
-        If the caller has set `tol`, the settings are returned unchanged.
+        The tolerance of Ipopt (its option `tol`) is set well below that of the mesh refinement. If
+        the caller has already set Ipopt's tolerance, the settings are returned unchanged.
 
         Parameters
         ----------
@@ -142,12 +143,14 @@ class SolverOptions:
         return replace(self, tolerance=float(np.clip(1e-3 * tolerance, 1e-11, _TOLERANCE)))
 
     def at_most(self, iterations: float) -> SolverOptions:
-        """Return the settings with the given limit of iterations, or with their own if it is lower.
+        """Return the settings with a limit of iterations that is at most the given limit.
+
+        If the settings already have a lower limit, the lower limit remains.
 
         Parameters
         ----------
         iterations : float
-            The limit for each mesh; infinite for no further limit.
+            Given limit of iterations on each mesh; infinite leaves the settings unchanged.
         """
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
@@ -420,8 +423,8 @@ class _Callbacks:
     history : list of Iteration
         Progress reports of all iterations so far.
     best : (float, ndarray)
-        Constraint violation and unknowns of the best iterate so far. An iterate replaces it only if
-        its violation is at most a tenth as large.
+        Constraint violation and unknowns of the best iterate so far. A later iterate replaces the
+        best iterate only if the later iterate's violation is at most a tenth as large.
     error : exception or None
         First exception that a callback raised.
     """
@@ -443,7 +446,8 @@ class _Callbacks:
     def is_bottomless(self) -> bool:
         """Whether the problem appears to be unbounded.
 
-        This is the case if the objective is below `floor` in several consecutive iterations.
+        This is the case if the objective to minimise was below the attribute `floor`, a very low
+        value, in each of the latest few iterations.
         """
         return self.below >= _PATIENCE_BELOW
 
@@ -685,14 +689,15 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Add unknowns so that Ipopt does not treat the program as a square system.
+    """Return a program with added unknowns, which Ipopt does not treat as a square system.
 
     If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
     the first point that satisfies them, whatever the objective. If there are more equations than
     free unknowns, Ipopt refuses the program. Both are wrong if some equations follow from others,
     because the feasible point is then not unique. An example is an end condition on a conserved
-    quantity. The added unknowns make the free unknowns outnumber the equations. Each appears as a
-    square in the objective and in no equation, so that it stays zero and changes nothing else.
+    quantity. The added unknowns make the free unknowns outnumber the equations. Each added unknown
+    appears as a square in the objective and in no equation. It is therefore zero at the optimum,
+    and the optimum of the original unknowns is unchanged.
 
     Parameters
     ----------

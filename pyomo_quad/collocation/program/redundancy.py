@@ -193,9 +193,11 @@ def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[F
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return the data of a solve that does not impose the conditions in `left_out`.
+    """Return a copy of the data of a solve, changed so that some conditions are not imposed.
 
-    The result is a copy of `instance`, the data of a solve that imposes them.
+    `instance` has the data of the solve: parameters, horizon, and values fixed at declared times.
+    `left_out` are the conditions (constraints or fixed values at declared times) that a solve with
+    the returned data does not impose.
     """
     keys = {candidate.key for candidate in left_out}
     return replace(

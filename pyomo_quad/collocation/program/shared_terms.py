@@ -92,8 +92,8 @@ class WithoutCalls:
         Parameters
         ----------
         column : casadi.SX
-            Expressions derived from `rows`, such as the nonzeros of their Jacobian, in which
-            symbols stand for the results of calls.
+            Expressions computed from this object's expressions (the attribute `rows`), such as the
+            nonzeros of their Jacobian. Symbols stand for the results of calls.
 
         Returns
         -------

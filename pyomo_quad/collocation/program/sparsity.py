@@ -355,14 +355,17 @@ class Contributions:
 
 @dataclass(frozen=True, kw_only=True)
 class Scatter:
-    """Sparsity pattern of a matrix, with the linear map from CasADi's values to its nonzeros.
+    """Assembly of a sparse matrix: its sparsity pattern, and a linear map to its nonzeros.
+
+    The linear map computes the nonzeros of the sparse matrix from the sources. A source is a number
+    that a CasADi function returns at each evaluation.
 
     Attributes
     ----------
     rows, columns : ndarray of int, shape (n_nonzeros,)
-        Positions of the nonzeros.
+        Row and column of each nonzero in the sparse matrix.
     matrix : csr_matrix, shape (n_nonzeros, n_sources)
-        The linear map; a source is a value that CasADi returns.
+        The linear map.
     """
 
     rows: Places
