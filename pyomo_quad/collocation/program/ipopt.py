@@ -689,7 +689,7 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Return a program with added unknowns, which Ipopt does not treat as a square system.
+    """Return a program with added unknowns, to prevent its treatment as a square system.
 
     If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
     the first point that satisfies them, whatever the objective. If there are more equations than
@@ -697,7 +697,7 @@ def _with_idle_unknowns(
     because the feasible point is then not unique. An example is an end condition on a conserved
     quantity. The added unknowns make the free unknowns outnumber the equations. Each added unknown
     appears as a square in the objective and in no equation. It is therefore zero at the optimum,
-    and the optimum of the original unknowns is unchanged.
+    and the optimal values of the original unknowns are unchanged.
 
     Parameters
     ----------
