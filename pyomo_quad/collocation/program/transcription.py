@@ -253,9 +253,10 @@ class Transcription:
         return float(self.data.parameters[start]), float(self.data.parameters[end])
 
     def time_of(self, fraction: float) -> float:
-        """Return the time at a fraction of the horizon, by linear interpolation between its ends.
+        """Return the time at a fraction of the horizon, by linear interpolation.
 
-        The result is the fraction itself if start or end of the horizon is a variable.
+        The interpolation is between start and end of the horizon, which are physical times. The
+        result is `fraction` itself if start or end of the horizon is a variable.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
@@ -310,10 +311,13 @@ class Transcription:
 
         The objective may contain integrals over the horizon, each multiplied by a coefficient. The
         running cost is the sum of their integrands, multiplied by the same coefficients, and by -1
-        if the objective is maximised. Its integral over the fraction of the horizon (from 0 to 1)
-        is therefore the part of the minimised objective that these integrals contribute. Integrals
-        for which a static variable (a variable without time) stands are left out, for example
-        integrals that enter the objective nonlinearly. `z` are the unknowns of the program.
+        if the objective is maximised. The integral of the running cost over the fraction of the
+        horizon (from 0 to 1) is therefore the part of the minimised objective that these integrals
+        contribute.
+
+        In the objective, a static variable (a variable without time) takes the place of some
+        integrals, for example of integrals that enter the objective nonlinearly. The integrands of
+        such integrals are left out of the running cost. `z` are the unknowns of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]

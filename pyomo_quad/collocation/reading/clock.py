@@ -57,11 +57,12 @@ class PhaseTimes:
         Physical times of these declared times, as CasADi expressions of static variables and
         parameters.
     fraction : SX
-        Symbol of the fraction of the declared horizon.
+        Symbol of the fraction of the declared horizon, which extends from the first to the last
+        declared time.
     phases : tuple of SX
         One symbol per phase, 1 at times of the phase and 0 elsewhere; none for a single phase.
     is_free : bool
-        Whether any of these times is free.
+        Whether any of the declared times that bound the phases is free.
     """
 
     name: str
@@ -157,10 +158,11 @@ class PhaseTimes:
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
-        """Return the constraints by which the times that bound the phases increase.
+        """Return the constraints that keep the times that bound the phases in rising order.
 
-        Each constraint is a pair: name, and CasADi expression that must not be negative. The list
-        is empty for a single phase.
+        There is one constraint per phase, as a pair of a name and a CasADi expression. The
+        expression must not be negative: it is the duration of the phase minus a small fraction of
+        the duration of the horizon. The list is empty for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:

@@ -158,7 +158,10 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
 
 
 def _is_used(model: Any, time: Any) -> bool:
-    """Return whether an active constraint or objective contains a variable indexed by `time`."""
+    """Return whether an active constraint or objective contains a variable indexed by `time`.
+
+    `model` is the user's model, and `time` is one of its continuous sets.
+    """
     return any(
         is_over(variable.parent_component(), time)
         for data in model.component_data_objects((Constraint, Objective), active=True)
@@ -203,10 +206,12 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 def _drop_unexpanded(copy: Any, time: Any) -> None:
     """Delete components over time for which Pyomo cannot make a member at an added time.
 
-    The deletion does not change the nonlinear program: of these components, only active blocks and
-    objectives would contribute to it, and a model that has one of these over time has been refused
-    with an error before. `copy` is the clone of the user's model from which the components are
-    deleted, and `time` is the continuous set that indexes them.
+    The deletion does not change the nonlinear program. Among the deleted components, only active
+    blocks and active objectives would contribute to the program. A model with an active block or
+    objective over time does not come this far, because an earlier check raises an error for it.
+
+    `copy` is the clone of the user's model from which the components are deleted, and `time` is the
+    continuous set that indexes them.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED

@@ -254,21 +254,22 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
     Parameters
     ----------
     parts : dict
-        Value and derivatives of the spline, as summed over other axes before. A key has the orders
-        of the derivative along those axes, () if there are none. The item for the key is a CasADi
-        column, with an entry for each combination of the coefficients along the other axes, over
-        which the sum is not taken yet.
+        Value and derivatives of the spline after earlier sums over some of its last axes. A key is
+        a tuple: order of the derivative along each summed axis; () if no axis is summed yet. The
+        item for the key is a CasADi column of partial sums. The column has one entry for each
+        combination of the coefficients along the axes that are not summed yet.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of factors and their derivatives that `_weights` describes.
     axes : iterable of int
-        The axes to sum over, in rising order. They must be the last of the axes that `parts` is not
-        summed over yet.
+        The axes to sum over, in rising order. Among the axes that are not summed yet in `parts`,
+        these must be the last ones.
 
     Returns
     -------
     dict
-        In the form of `parts`. The orders along `axes` come first in the keys; derivatives have a
-        total order of at most 2.
+        Value and derivatives in the form of `parts`, after the sums over `axes`. In a key, the
+        orders of the derivative along `axes` come before the orders along the axes that were summed
+        earlier. The total order of a derivative is at most 2.
     """
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
@@ -370,12 +371,14 @@ class _Pieces:
     breaks : ndarray, shape (n + 1,)
         Ends of the cells.
     columns : ndarray of int, shape (n, degree + 1)
-        Basis functions that are not zero in each cell.
+        For each cell, the indices of the basis functions that are not zero in the cell.
     ends : ndarray, shape (n, 2)
-        Anchor (origin of the local coordinate) and reciprocal width of each cell.
+        Local coordinate of each cell: its anchor (origin) and the reciprocal of its width. The
+        local coordinate is (coordinate - anchor) / width. In the first and the last cell, the width
+        is that of the neighbouring cell.
     matrices : ndarray, shape (n, degree + 1, degree + 1)
-        Coefficients of each of these basis functions in powers of (coordinate - anchor) / width,
-        one row per power.
+        For each cell, the coefficients of these basis functions in powers of the local coordinate:
+        one row per power, one column per basis function.
     """
 
     breaks: FloatArray

@@ -130,12 +130,11 @@ class RelationReader:
         conditions.extend(self._between(equation, template, instances))
 
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
-        """Raise an error for a constraint that has no rule, and the same members at all times.
+        """Raise an error for a constraint without a rule if its members differ in time only.
 
-        Members count as the same if they differ in their times only. The constraint is probably
-        meant for all times, but without a rule the engine can impose it at the declared times (the
-        members of the continuous set) only. `component` is the constraint, and `instances` are its
-        members.
+        Such a constraint is probably meant for all times, but without a rule the engine can impose
+        it at the declared times (the members of the continuous set) only. `component` is the
+        constraint, and `instances` are its members, one at each declared time.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
@@ -144,10 +143,12 @@ class RelationReader:
             )
 
     def _refuse_listed(self, component: Any) -> None:
-        """Raise an error for a ConstraintList on an algebraic variable at every declared time.
+        """Raise an error for a ConstraintList that repeats one constraint at all declared times.
 
-        A declared time is a member of the continuous set. The list is probably meant for all times,
-        but the engine imposes it at the declared times only. `component` is the ConstraintList.
+        A declared time is a member of the continuous set. The error is raised if the list has one
+        member per declared time, the members differ in time only, and their variables are algebraic
+        variables. Such a list is probably meant for all times, but the engine would impose it at
+        the declared times only. `component` is the ConstraintList.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -234,12 +235,15 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return a constraint's members at interior declared times that differ from its equation.
+        """Return the members of a constraint that its equation over time does not cover.
 
-        Each returned member becomes a separate condition (a constraint at a single time).
-        `equation` is the constraint as an equation over time. `template` is its member at the
-        template time (the added interior time at which equations are read), and `instances` has its
-        members at declared times, the members of the continuous set.
+        Declared times are the members of the continuous set. A constraint's member at an interior
+        declared time may differ from the equation over time that represents the constraint. Each
+        such member is returned as a separate condition (a constraint at a single time).
+
+        `equation` is the constraint as an equation over time. `template` is the constraint's member
+        at the template time (the added interior time at which equations are read). `instances` has
+        the constraint's members by declared time.
         """
         added = []
         for time in self.copy.declared_times[1:-1]:
@@ -425,7 +429,8 @@ class RelationReader:
 def _is_met_as_fixed(data: Any) -> bool:
     """Return whether all variables in a constraint are fixed and the constraint is satisfied.
 
-    `data` is the member of a constraint. Such a constraint need not be imposed.
+    `data` is the constraint: a single member, which is a Pyomo data object. If the result is True,
+    the constraint need not be imposed.
     """
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
@@ -664,14 +669,17 @@ class ModelReader:
         nominal: dict[str, float],
         bounds: Callable[[Slot], tuple[Any, Any]],
     ) -> tuple[Slot, ...]:
-        """Return variables with their bounds as CasADi expressions and with declared magnitudes.
+        """Return variables with their bounds as CasADi expressions, and with their magnitudes.
+
+        The user declares the magnitudes in the Pyomo suffix `scaling_factor`. They serve to scale
+        the nonlinear program.
 
         Parameters
         ----------
         table : dict
             The variables by name.
         nominal : dict
-            Declared magnitudes, for the scaling, by name of a variable or component.
+            Magnitudes by name of a variable or component.
         bounds : callable
             Variable -> lower and upper bound as CasADi expressions.
         """

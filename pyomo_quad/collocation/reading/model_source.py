@@ -265,9 +265,10 @@ class LiveModel:
         Raises
         ------
         TranscriptionError
-            If the parameter has no rule that gives its value at any time, or if its values in the
-            model differ from the values of the rule. The returned function raises the same
-            exception if the rule fails.
+            If the parameter has no rule and its values differ between declared times (members of
+            the continuous set), so that the values at other times are unknown. Also if the
+            parameter has a rule, but its values in the model differ from the values of the rule.
+            The returned function raises a `TranscriptionError` at a time at which the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)

@@ -98,17 +98,19 @@ def initial_rule_of(variable: Any) -> Any:
 
 
 def refuse_lost_members(copy: Any, template_time: float) -> None:
-    """Raise an error for rules that fail at a time that the model does not declare.
+    """Raise an error for rules that fail at the template time, which the model does not declare.
 
-    Pyomo takes a `KeyError` in a rule as a request to skip the member. Without this check, the
-    equation would be missing from the program without notice.
+    The template time is an interior time that the engine adds to a continuous set, to read the
+    equations over time there. Pyomo takes a `KeyError` in a rule as a request to skip the member.
+    Without this check, a constraint whose rule fails in this way at the template time would be
+    missing from the nonlinear program without notice.
 
     Parameters
     ----------
     copy : ConcreteModel
-        Clone of the model with the template time.
+        Clone of the user's model, with the template time. Its indexed constraints and named
+        expressions with a rule are checked.
     template_time : float
-        The added time.
 
     Raises
     ------
@@ -177,7 +179,7 @@ class _PrefixNotation(PrefixVisitor):
 
     A named expression is written as a single entry, without its contents. The contents are not
     needed here, because each named expression with a rule is compared with that rule separately.
-    They are thus not compared again for each of the equations that share the named expression.
+    This saves a comparison of the contents for each equation that contains the named expression.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name

@@ -565,12 +565,17 @@ _COMPARED = np.array([-0.97, -0.61, -0.28, 0.13, 0.52, 0.83, 0.99])
 
 @dataclass(frozen=True, kw_only=True)
 class Interpolant:
-    """Piecewise Chebyshev polynomials of functions of time, or the reason for their absence.
+    """Approximation of functions of time by piecewise Chebyshev polynomials.
+
+    The approximation has no pieces if the functions fail or are too rough. The attribute `refusal`
+    then has the reason.
 
     Attributes
     ----------
     edges : tuple of float, length n_pieces + 1
-        Ends of the pieces; a jump is an edge, and belongs to the piece that starts there.
+        Times that bound the pieces, in rising order; empty if there are no pieces. Where the
+        functions jump, there is an edge. The time of an edge belongs to the piece that starts
+        there.
     pieces : tuple of ndarray, shape (degree + 1, n_functions)
         Chebyshev coefficients of each piece.
     refusal : str
