@@ -218,7 +218,11 @@ def quintic(mission: Mission) -> ReferencePath:
 
 
 def minimum_snap(mission: Mission) -> ReferencePath:
-    """Return the reference path from rest to rest of least squared snap, of degree 7 in time."""
+    """Return the reference path of a mission that minimises the integral of the squared snap.
+
+    The path leads from rest at the start through the waypoints to rest at the goal. It consists of
+    polynomials of degree 7 in time.
+    """
     return WaypointPath(mission, 3) if mission.waypoints else StraightPath(mission, _MINIMUM_SNAP)
 
 

@@ -536,7 +536,8 @@ class Replanner:
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], shape (n_times, n_states).
 
-        They are in the order of the states of `dynamics`, the equations of the whole mission.
+        The columns are in the order of the states of `dynamics`. This attribute has the equations
+        of the whole mission.
         """
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]

@@ -263,7 +263,10 @@ class _ReplannedFlight:
         self.resolves: list[Resolve] = []
 
     def fly(self) -> None:
-        """Simulate the whole mission; at each interval, a new plan replaces the present plan."""
+        """Simulate the whole mission, and solve for a new plan at constant intervals of time.
+
+        Each new plan replaces the present plan, if its solve succeeds.
+        """
         measured_at = self._settings.interval
         hovering_at = inf
         for rest in self._replanner.remainders:
@@ -334,7 +337,8 @@ class _ReplannedFlight:
     def _advance(self, end: float) -> None:
         """Simulate the flight along the present plan until the time `end` [s].
 
-        The estimate of the unexplained acceleration is updated with this part of the flight.
+        This part of the flight also updates the estimate of the unexplained acceleration, which is
+        the acceleration that the equations of the plan do not contain.
         """
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()

@@ -431,9 +431,11 @@ class _Search:
         return best
 
     def unfinished(self, why: str) -> Plan:
-        """Return the last flyable plan of a search that ended early, with the reason ``why``.
+        """Return the last flyable plan of a search for margins that ended early.
 
-        No test flights confirm the risk of this plan, the probability that a flight breaks a limit.
+        A flyable plan is a plan that simulation confirms. The record of the risk in the returned
+        plan states the reason ``why`` the search ended, in words. No test flights in turbulence
+        confirm the risk of this plan, the probability that a flight breaks a limit.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -579,10 +581,11 @@ class _Search:
     def _missed_by_hover(self) -> float:
         """Return the fraction of hovering vehicles that gusts carry away from the goal.
 
-        It counts vehicles that are farther from the goal, or faster, than a flight may be at its
-        end. A vehicle that has hovered at the goal for `_HOVER_S` seconds is within these limits at
-        least as often as a vehicle that has just arrived. With any margins, at least this fraction
-        of the flights therefore misses the goal.
+        The mission limits the distance from the goal and the speed at the end of a flight. Vehicles
+        are simulated that hover at the goal in turbulence for `_HOVER_S` seconds. The result is the
+        fraction of them that then break one of these two limits. A vehicle that has hovered there
+        keeps the limits at least as often as a vehicle that has just arrived. With any margins, at
+        least this fraction of the flights therefore misses the goal.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
@@ -800,8 +803,8 @@ class _Search:
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return advice to the user on how to change the mission so that flights keep its limits.
 
-        `tried` is the plan. `limiting` has the limits that its test flights broke most often, in
-        words; the advice concerns the first of them.
+        `tried` is the plan. `limiting` has the names in words of the limits that the test flights
+        of this plan broke most often; the advice concerns the first of these limits.
         """
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
@@ -814,7 +817,8 @@ class _Search:
     def _weaker(self, tried: _Tried) -> str:
         """Return advice to the user: how weak turbulence must be for flights to reach the goal.
 
-        It is computed from the predicted statistics of flights that follow the plan `tried`.
+        The greatest admissible strength of the turbulence is computed from the predicted statistics
+        of flights that follow the plan `tried`.
         """
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]

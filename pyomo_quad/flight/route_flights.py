@@ -176,10 +176,11 @@ class RouteFlights:
         """Return how many of the cheapest journeys are to be solved on a finer mesh, at most.
 
         A journey is a route for each leg of the mission. `error` is the relative error of the
-        energies on the present mesh. Journeys whose energies differ by less than `error` cannot be
-        ranked on this mesh; several journeys are therefore solved again, and the result is `most`.
-        If `error` is within the tolerance of the mission, the result is 1, because any other
-        journey then saves less energy than the tolerance.
+        energies on the present mesh, and `most` is the number of journeys to solve again if this
+        error is too large. Journeys whose energies differ by less than `error` cannot be ranked on
+        this mesh. If `error` is greater than the energy tolerance of the mission, the result is
+        therefore `most`. Otherwise the result is 1, because any other journey then saves less
+        energy than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
@@ -433,10 +434,11 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches, with the sides on which it passes them, for each leg.
 
-    The result has one set of pairs (name of a zone, side) for each leg of the mission. It tells
-    which other journeys need not be solved. A zone that the optimum does not touch may be left out
-    of the mission without changing the optimum. A flight on another side of such a zone, with the
-    touched zones on the same sides, is therefore not cheaper; see docs/theory/routes.md.
+    The result has one set of pairs (name of a zone, side) for each leg of the mission. The caller
+    uses it to find other journeys that need not be solved. A zone that the optimum does not touch
+    may be left out of the mission without changing the optimum. A flight on another side of such a
+    zone, with the touched zones on the same sides, is therefore not cheaper; see
+    docs/theory/routes.md.
 
     Parameters
     ----------

@@ -132,9 +132,9 @@ class Search:
 
     @property
     def effort(self) -> int:
-        """Cost of the solves since the last call of `begin_effort`.
+        """Cost of the solves since the last call of `begin_effort`, which limits this cost.
 
-        It is measured as the number of mesh points, summed over Ipopt's iterations.
+        The cost is measured as the number of mesh points, summed over Ipopt's iterations.
         """
         return self.work - self._effort_from
 
@@ -153,15 +153,21 @@ class Search:
     def begin_with(self, make_first: Callable[[], Plan | None]) -> None:
         """Set the function that makes the first usable plan, if the search takes long.
 
-        Most searches end soon by themselves, and need no plan before. The function is called once,
-        between two iterations of Ipopt, when the search has taken somewhat less than a second and
-        has no usable plan yet. It returns a plan that was simulated, or None. A usable plan is a
-        plan that simulation confirms at lower accuracy than requested.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
+        result of a search that is stopped. Most searches end soon by themselves, and do not need
+        it. The function `make_first` is called once, between two iterations of Ipopt, when the
+        search has taken somewhat less than a second and has no usable plan yet. The function
+        returns a plan that was simulated, or None.
         """
         self._make_first = make_first
 
     def _begin(self) -> None:
-        """Make the first plan, and store it if it is usable; see `begin_with`."""
+        """Make the first plan of the search, and store it if it is usable.
+
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
+        function set by `begin_with` makes the plan. Nothing is done if this function has been
+        called before, if none was set, or if the search has a usable plan already.
+        """
         make, self._make_first = self._make_first, None
         if make is None or self.usable is not None:
             return
@@ -192,8 +198,8 @@ class Search:
     def __call__(self, iteration: Iteration) -> bool:
         """Take note of an iteration of Ipopt, and return whether Ipopt may continue.
 
-        Ipopt calls this method at each iteration. The result is False beyond the time limit, or if
-        the solves cost more than the limit of `begin_effort` allows.
+        Ipopt calls this method at each iteration. The result is False if the search has exceeded
+        its time limit, or if the solves have cost more than the limit set by `begin_effort`.
         """
         self.work += iteration.mesh_points
         if self.work - self._patient_from > _PROMPT and not self.deadline.is_over:
@@ -267,9 +273,10 @@ class Search:
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        better of two plans made from solutions is the plan with the smaller uncertainty of the
-        energy. Of two plans of which one was made from a route alone, the cheaper plan is better.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
+        made from a solution of the optimal control problem or, without a solution, from a smooth
+        path along a route. If both plans were made from solutions, the plan with the smaller
+        uncertainty of the energy is better. Otherwise the plan of lower cost is better.
         """
         found, kept = as_usable(plan), self.usable
         if not found.is_flyable:
@@ -334,8 +341,10 @@ def _is_optimised(plan: Plan | None) -> bool:
 def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
-    Other plans are returned unchanged. The condition is that the simulated flight is within the
-    tolerances of a usable plan, and that the saving by a better plan can be estimated.
+    The lower accuracy consists of fixed tolerances on the simulated flight. A second condition is
+    that there is an estimate of the energy that a better plan may save. The message of the returned
+    plan states the accuracy of the simulated flight. Plans that do not meet both conditions are
+    returned unchanged, as well as infeasible plans and plans that simulation has confirmed already.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
@@ -349,7 +358,7 @@ def as_usable(plan: Plan) -> Plan:
 
 
 def _proven(plan: Plan) -> str:
-    """Return a sentence for the user on how closely the simulation of a usable plan agrees with it.
+    """Return a sentence for the user on how closely a usable plan agrees with its simulation.
 
     A usable plan is a plan that simulation confirms at lower accuracy than requested.
     """

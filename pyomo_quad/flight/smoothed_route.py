@@ -1,12 +1,12 @@
 """Smooth path along a route at prescribed speeds, without an optimisation.
 
-A route consists of straight lines. A point that moves along it with bounded acceleration, slowly
-past corners, still changes its velocity suddenly at each corner. The path of this module is a
-moving average of that motion: a weighted mean of its positions over a short span of time. Velocity,
-acceleration and jerk of the mean are continuous, and none of its speeds exceeds those of the
-motion. The mean cuts corners; the corners are therefore moved outwards until the path passes
-through the places that are to be passed. Derivation and sources: docs/theory/geometric_plan.md,
-eqs. (1) to (4).
+A route consists of straight lines. Consider the motion of a point along these lines with bounded
+acceleration, slowly past corners. The velocity of the point still changes suddenly at each corner.
+The path of this module is a moving average of this motion: a weighted mean of the positions of the
+point over a short span of time. Velocity, acceleration and jerk of the path are continuous, and its
+greatest speed is at most the greatest speed of the point. A moving average cuts corners. The
+corners of the lines are therefore moved outwards, until the path passes through the original
+corners. Derivation and sources: docs/theory/geometric_plan.md, eqs. (1) to (4).
 """
 
 from __future__ import annotations
@@ -44,14 +44,14 @@ _SLOWEST, _SAME_M, _INSTANT_S = 0.05, 1e-6, 1e-9
 
 @dataclass(frozen=True, kw_only=True)
 class Stop:
-    """Corner of a route, with what the mission asks for there.
+    """Corner, start or goal of a route, with the hover and speed that the mission requires there.
 
     Attributes
     ----------
     place : ndarray, shape (3,)
         Position of the corner [m].
     hold : float or None
-        Duration for which the vehicle hovers there [s]; None if it passes without a stop.
+        Duration for which the vehicle hovers at the corner [s]; None if it passes without a stop.
     speed_max : float
         Greatest speed with which the vehicle may pass [m/s].
     """
@@ -63,17 +63,17 @@ class Stop:
 
 @dataclass(frozen=True, kw_only=True)
 class Pace:
-    """Greatest speed and accelerations of a motion along a route.
+    """Greatest speed and accelerations of a motion along the straight lines of a route.
 
     Attributes
     ----------
     speed : float
         Greatest speed [m/s].
     acceleration : float
-        Greatest acceleration along the lines [m/s^2].
+        Greatest acceleration along the lines between the corners [m/s^2].
     turning : float
-        Greatest acceleration at the corners [m/s^2]. The distance by which the path leaves the
-        lines near a corner is proportional to it.
+        Greatest acceleration of the smooth path at the corners [m/s^2]. The greatest distance by
+        which the smooth path cuts a corner is proportional to this acceleration.
     """
 
     speed: float
@@ -83,7 +83,7 @@ class Pace:
 
 @dataclass(frozen=True, kw_only=True)
 class SmoothPath:
-    """Path of a vehicle as a function of time, sampled at equally spaced times.
+    """Smooth path of a vehicle along a route, sampled at equally spaced times.
 
     Attributes
     ----------
@@ -92,7 +92,7 @@ class SmoothPath:
     places, velocities, accelerations : ndarray, shape (n, 3)
         Position [m], velocity [m/s] and acceleration [m/s^2] at these times.
     passings : tuple of (float, float)
-        Times at which each corner is reached and left [s].
+        For each corner of the route, the times at which it is reached and left [s].
     """
 
     times: FloatArray
@@ -118,10 +118,12 @@ class SmoothPath:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """Motion along straight lines before averaging: times, distances and speeds at its breaks.
+    """Motion along the straight lines of a route, in phases of constant acceleration.
 
-    `times` [s], `distances` from the start [m] and `speeds` [m/s] have the shape (n,). `passings`
-    has the times at which each corner is reached and left [s].
+    The moving average of this motion is the smooth path. `times` [s], `distances` travelled from
+    the start [m] and `speeds` [m/s] are the values at the start and at the end of each phase, each
+    of shape (n,). `passings` has, for each corner of the route, the times at which the smooth path
+    reaches and leaves it [s].
     """
 
     times: FloatArray
@@ -168,10 +170,13 @@ def smoothed(
 def _pace_for(
     stops: Sequence[Stop], corners: FloatArray, fastest: Pace, lasting: float
 ) -> Pace | None:
-    """Return the pace with the speed at which a motion along a route lasts a given duration.
+    """Return a pace whose speed is chosen so that a motion along a route lasts a given duration.
 
-    `corners` has the present places of the corners, `lasting` is the duration [s]. The result is
-    None if the motion takes longer even at the pace `fastest`.
+    `stops` has the corners of the route with the hovers and speeds that the mission requires.
+    `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].
+    `lasting` is the duration [s]. `fastest` gives the accelerations and the greatest speed allowed.
+    The result is None if the motion takes longer than `lasting` even at this speed. If it takes
+    less at a speed of 0.05 m/s, the result has this speed.
     """
 
     def excess(speed: float) -> float:
@@ -187,11 +192,14 @@ def _pace_for(
 
 
 def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> FloatArray:
-    """Return the speed at each corner of a route [m/s], zero at both ends and at hovers.
+    """Return the speed of a motion along straight lines at each of n corners [m/s], shape (n,).
 
-    With these speeds, the accelerations are at most those of `pace`: between the corners, and of
-    the averaged motion at the corners. `steps` has the displacement from each corner to the next,
-    shape (n - 1, 3). Implements docs/theory/geometric_plan.md, eqs. (1) and (2).
+    The first corner is the start and the last is the goal. The speed is zero there and at hovers.
+    The speeds are chosen so that two accelerations are at most those of `pace`: the acceleration
+    along the lines between the corners, and the acceleration of the smooth path (the moving average
+    of the motion) at the corners. `stops` has the hover and the greatest speed at each corner, and
+    `steps` the displacement from each corner to the next, shape (n - 1, 3) [m].
+    Implements docs/theory/geometric_plan.md, eqs. (1) and (2).
     """
     lengths = np.linalg.norm(steps, axis=1)
     courses = steps / np.maximum(lengths, _SAME_M)[:, None]
@@ -212,9 +220,14 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
 def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
     """Return the motion along straight lines from corner to corner, with bounded acceleration.
 
-    Before and after the motion the vehicle rests for half the span of the averages, and during
-    hovers for the whole span longer than the mission asks for, so that the averaged motion rests as
-    well. The arguments are those of the function `smoothed`.
+    The smooth path is a moving average of this motion over a time span. To let the smooth path rest
+    as the mission requires, the motion rests for longer: by half of the span at the start and the
+    goal, and by the whole span at each hover. At the goal and at hovers a settling time is added,
+    in which deviations of a simulated flight vanish.
+
+    `stops` has the corners of the route with the hovers and speeds that the mission requires.
+    `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].
+    `pace` has the greatest speed and accelerations.
     """
     steps = np.diff(corners, axis=0)
     lengths = np.linalg.norm(steps, axis=1).tolist()
@@ -253,10 +266,12 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 
 
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
-    """Return the moving average of a motion along straight lines.
+    """Return the smooth path that is the moving average, over time, of a motion along lines.
 
-    `corners` has the ends of the lines, shape (n, 3). The path rests at its end until the time
-    `lasting` [s], if that is given. Implements docs/theory/geometric_plan.md, eq. (3).
+    `motion` is the motion, and `corners` has the ends of the straight lines, shape (n, 3) [m].
+    `lasting` is the duration of the path [s], or None for the duration of the motion. If the motion
+    ends earlier, the path rests at the last corner until then.
+    Implements docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
 

@@ -1,9 +1,11 @@
 """Shifts of a path in tilt, speed and rotor speeds that lead its flight within their limits.
 
-Between the collocation points, a coarse solution may exceed a limit on one of these, and so does a
-vehicle that follows it under feedback. In the next simulated flight, the path is therefore shifted
-away from the limit during the time of the excess, and the regulator follows the path closely in
-this state. The corrections anticipate the shift. See docs/theory/tracking.md, eq. (9).
+Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
+A vehicle that follows the solution under feedback may then exceed the limit too. In the next
+simulated flight, the path that the vehicle follows is therefore shifted away from the limit, in the
+limited states, during the time of the excess. During this time the regulator gives deviations of
+these states a greater weight. The regulator knows the shift in advance, and begins to correct the
+flight before the shift begins. See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -37,12 +39,12 @@ _AROUND_S = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class StateShift:
-    """Shift of a path in some of its states during a time span.
+    """Constant shift of some states of the path that a vehicle follows, during a time span.
 
     Attributes
     ----------
     first, last : float
-        Time span [s].
+        Start and end of the time span [s].
     shift : mapping
         Full name of a state -> its change, in the unit of the state.
     """
@@ -55,24 +57,26 @@ class StateShift:
 def shifts_within_limits(
     dynamics: Dynamics, flown: Flown, tolerated: float
 ) -> tuple[StateShift, ...]:
-    """Return shifts away from the limits on tilt, speed and rotor speed that a flight exceeds.
+    """Return shifts of a path away from limits on tilt, speed and rotor speed.
 
-    Implements docs/theory/tracking.md, eq. (9).
+    The limits are those that a simulated flight along the path exceeds. The next simulated flight
+    follows the shifted path. Implements docs/theory/tracking.md, eq. (9).
 
     Parameters
     ----------
     dynamics : Dynamics
         Equations of the vehicle, with the limits.
     flown : Flown
-        Samples of the flight.
+        Samples of the simulated flight.
     tolerated : float
-        Tolerated violation of a limit, relative to the larger of 1 and the limit.
+        Tolerated violation of a limit. It is relative to the greatest magnitude of the limited
+        quantity in the flight, or to 1 in the unit of this quantity if that is larger.
 
     Returns
     -------
     tuple of StateShift
-        One for each time span in which the flight exceeds one of the limits by more than half of
-        what is tolerated.
+        One shift for each time span in which the flight exceeds one of the limits by more than half
+        of the tolerated violation.
     """
     found: list[StateShift] = []
     for limit in dynamics.limits_of(dynamics.solved(flown.t, flown.states, flown.controls)):
@@ -97,9 +101,11 @@ def shifts_within_limits(
 
 
 def shifted(names: Sequence[str], times: FloatArray, shifts: Sequence[StateShift]) -> FloatArray:
-    """Return the change of the states of a path at n times by shifts, shape (n, n_states).
+    """Return the sum of given shifts of a path's states at n times, shape (n, n_states).
 
-    `names` has the names of the states, `times` the times of the path [s].
+    `shifts` has the shifts, each of which changes some states by a constant during a time span.
+    `names` has the names of all states, in the order of the columns of the result. `times` has the
+    n times [s], shape (n,).
     """
     changes = np.zeros((len(times), len(names)))
     for shift in shifts:
@@ -110,15 +116,21 @@ def shifted(names: Sequence[str], times: FloatArray, shifts: Sequence[StateShift
 
 
 def _is_kept_by_shifts(limit: str) -> bool:
-    """Return whether a limit is one of those on tilt, speed and rotor speed."""
+    """Return whether a limit is one on tilt, speed or rotor speed, by its full name `limit`.
+
+    If a flight exceeds such a limit, the path that the flight follows is shifted away from it.
+    """
     return limit in _TILT_LIMITS or limit == _SPEED_LIMIT or limit.startswith(_ROTOR_LIMIT)
 
 
 def _slope(limit: str, names: Sequence[str], states: FloatArray) -> dict[str, float]:
-    """Return the gradient of a limited quantity with respect to the states, by name of the state.
+    """Return the gradient of a limited quantity with respect to the states of the vehicle.
 
-    `limit` is the name of the limit, and `states` has the states at the time of the gradient, named
-    `names`. The quantity is a state itself, or the speed.
+    A path is shifted away from an upper limit against the gradient, and away from a lower limit
+    along the gradient. The quantity is a state itself (roll, pitch or a rotor speed) or the speed
+    of the vehicle. `limit` is the full name of the limit. `states` has the states at which the
+    gradient is evaluated, shape (n_states,), and `names` their names. The result maps the name of
+    each state on which the quantity depends to the partial derivative.
     """
     if limit == _SPEED_LIMIT:
         velocity = states[[names.index(name) for name in VELOCITY_STATES]]
