@@ -1,7 +1,7 @@
 """Search for the cheapest order of the waypoints of a mission, from the energies of its legs.
 
 A leg is the flight from one place of the mission to another, from hover to hover. The legs between
-neighbouring places and the legs of the cheapest orders are solved for their energies.  The energies
+neighbouring places and the legs of the cheapest orders are solved for their energies. The energies
 of all other legs are predicted from the solved ones, see docs/theory/orders.md, eq. (1). Then the
 whole mission is solved for the best few orders.
 """
@@ -131,14 +131,16 @@ class LegTable:
         lengths of the legs [m] serve as costs.
 
         A leg whose solve failed has the value of the regression, without subtraction. Its cost is
-        not infinite, because an order may still use the leg. The duration may be too short for a
-        flight from hover to hover, but long enough for a flight that does not stop at the ends of
-        the leg.
+        not infinite, because an order may still use the leg. An example is a mission with a fixed
+        duration, of which each leg receives a part in proportion to its length. This part may be
+        too short for a flight from hover to hover, but long enough for a flight that does not stop
+        at the ends of the leg.
 
         Returns
         -------
         ndarray, shape (n_places, n_places)
-            Rows and columns: start, waypoints, goal; infinite for legs that no order may use.
+            Row: place where the leg begins; column: place where the leg ends. The places are the
+            start, the waypoints and the goal. The cost is infinite for legs that no order may use.
         """
         missing = [leg for leg in self.legs if leg not in self._known]
         if not missing:
@@ -314,7 +316,7 @@ def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
 
 
 class BestOrder:
-    """Search for the cheapest order of a mission's waypoints, and its plan.
+    """Search for the cheapest order of a mission's waypoints, and for the plan in this order.
 
     Parameters
     ----------
@@ -323,7 +325,7 @@ class BestOrder:
     scenario : Scenario
         The mission, whose waypoints may be visited in any order.
     search : Search
-        Progress callback that stops the solves at the time limit.
+        Progress callback of all solves; a solve is stopped when the time limit is reached.
     """
 
     def __init__(self, problems: Problems, scenario: Scenario, search: Search) -> None:

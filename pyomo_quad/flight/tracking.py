@@ -256,15 +256,16 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 
 
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
-    """Return the change of a path's states at the element boundaries that demands cause.
+    """Return the changes of a path's states that demands cause, at the element boundaries.
 
-    The result has the shape (n_elements + 1, n_states) and the state order of `dynamics`. Position
-    and velocity change by the displacement of `demands` and its time derivative. Roll and pitch do
-    not follow them: the regulator finds the tilt that the displaced path takes. If the mission
-    requires a constant heading, yaw angle and yaw rate are changed so that the yaw angle is
-    constant. (The coarse solution, whose path is `path`, has a constant heading at its collocation
-    points only.) During the hovers, the velocity is changed to zero. The shifts of `demands` are
-    added.
+    `path` is the path of a coarse solution, and `demands` are the demanded changes of this path.
+    The result has the shape (n_elements + 1, n_states) and the state order of `dynamics`. The
+    position changes by the displacement of `demands`, and the velocity by the time derivative of
+    the displacement. Roll and pitch are not changed by the displacement: the regulator finds the
+    tilt that the displaced path needs. During the hovers of `demands`, the velocity is changed to
+    zero. If the mission requires a constant heading, yaw angle and yaw rate are changed so that the
+    yaw angle is constant, because the coarse solution has a constant heading at its collocation
+    points only. Finally, the shifts of `demands` in tilt, speed and rotor speeds are added.
     """
     aside = np.zeros_like(path.states)
     moved = displaced(path.borders, demands.displacement)
@@ -305,8 +306,9 @@ def _regulator(
 
     Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation of the equations
     `dynamics` about the solution `coarse`. `borders` has the times of the element boundaries [s],
-    shape (n_elements + 1,). The given `demands` increase weights: that of the velocity during
-    hovers, and that of a state while the path is shifted in it.
+    shape (n_elements + 1,). `demands` are the changes of the path that the vehicle follows. They
+    increase weights in the cost of the regulator: the weight of the velocity during the hovers of
+    `demands`, and the weight of a state while a shift of `demands` changes this state.
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -360,10 +362,10 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 
     A disturbance is the part of a flight's deviation from its path at the end of an element that
     the linearised equations do not explain by the deviation at the start of the element and by the
-    correction of the controls. It is the same in the next flight, which can therefore anticipate
-    it. `path` is the path that was not displaced, `regulator` has the linearised equations, and
-    `previous` is the earlier flight. The result has the shape (n_elements, n_states). Implements
-    docs/theory/tracking.md, eq. (6).
+    correction of the controls. The disturbance is taken to be the same in the next flight, whose
+    controls can therefore anticipate the disturbance. `path` is the path without displacement,
+    `regulator` has the linearised equations, and `previous` is the earlier flight. The result has
+    the shape (n_elements, n_states). Implements docs/theory/tracking.md, eq. (6).
     """
     deviation = previous.states_at(path.borders) - path.states
     corrections = (

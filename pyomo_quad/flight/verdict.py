@@ -250,10 +250,12 @@ def _corrected(
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
     """Return the demands on the next simulated flight, after a flight that broke limits.
 
-    `demands` are those on that flight, and `path` has its samples. Pushes out of the zones that the
-    flight entered are added, shifts away from limits on tilt, speed and rotor speeds that it
-    exceeded, and rest during all hovers if it moved during a hover. `allowed` is the tolerated
-    violation of a limit, relative to the larger of 1 and the limit.
+    Demands are changes of the path that the vehicle follows under feedback, relative to the path of
+    `plan`. `demands` are the demands on the flight that broke limits, and `path` has the samples of
+    this flight. The result has further demands: pushes out of the zones that the flight entered,
+    and shifts away from the limits on tilt, speed and rotor speeds that the flight exceeded. If the
+    flight moved during a hover, the result also demands rest during all hovers. `allowed` is the
+    tolerated violation of a limit, relative to the larger of 1 and the limit.
     """
     rests = demands.rests
     if not rests and moves_in_hovers(plan.dynamics, path, allowed):
@@ -269,8 +271,9 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
     """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
 
-    They are the states `wanted`, except for states that a flight uses up, such as the charge drawn
-    from the battery. The mission does not prescribe their final values: they are those of `plan`.
+    The result equals the final states `wanted`, except for states that measure consumption, such as
+    the charge drawn from the battery. The mission does not prescribe the final values of these
+    states: the result has their final values in `plan`.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])

@@ -70,10 +70,11 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     Returns
     -------
     Dynamics
-        Equations of the vehicle without errors and gusts.
+        Equations of the vehicle before random errors and turbulence are applied.
     Draws
-        Parameter values and gusts of each flight. They depend on the seed and on the index of the
-        flight, but not on the number of flights or on the duration.
+        For each flight, the parameter values with random errors, and the random input of the
+        turbulence (gusts). Both depend on the seed and on the index of the flight, but not on the
+        number of flights or on the duration.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -126,7 +127,8 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 def as_expected(scenario: Scenario) -> Scenario:
     """Return the scenario in the conditions that plans expect: the forecast wind, with turbulence.
 
-    The turbulence is that of the scenario's wind.
+    `scenario` has an actual wind and a forecast of the wind. The result has the forecast as its
+    wind, with the turbulence of the actual wind.
     """
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}

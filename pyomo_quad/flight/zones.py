@@ -127,6 +127,8 @@ def sides_passed(
 ) -> NDArray[np.intp]:
     """Return the side on which each of n straight lines passes a keep-out zone.
 
+    The side is determined where a line crosses the vertical plane across the leg at the zone.
+
     Parameters
     ----------
     zone : KeepOut
@@ -141,7 +143,7 @@ def sides_passed(
     Returns
     -------
     ndarray of int, shape (n,)
-        Index into the members of `Side`; -1 for a line that does not pass the zone.
+        Index into the members of `Side`; -1 for a line that does not cross the plane.
     """
     section = _section(zone, ends, clearance)
     if section is None:
@@ -157,11 +159,11 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of a keep-out zone in the vertical plane across a leg that passes the zone.
+    """Cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
     A leg is the line between two waypoints. The cross-section is given by its middle, half its
-    width and half its height, and by the unit vectors along the leg, to its left and up. It serves
-    to decide on which side a route passes the zone.
+    width and half its height, and by three unit vectors: along the leg, to the left of the leg, and
+    up. The cross-section serves to decide on which side a route passes the zone.
     """
 
     middle: FloatArray
@@ -177,12 +179,12 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a keep-out zone in the vertical plane across a passing leg.
+    """Return the cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The plane is at the middle of
-    the part of the leg that is inside the zone enlarged by `clearance` [m] or, if the leg is
-    outside, at the point of the leg nearest to the zone. The result is None if this place is an end
-    of the leg.
+    A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The plane goes through one
+    point of the leg: the middle of the part of the leg that is inside the zone enlarged by
+    `clearance` [m] or, if the leg is outside, the point of the leg nearest to the zone. The result
+    is None if this point is an end of the leg.
     """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:

@@ -581,7 +581,8 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    Rows are too far apart if a fit to every second row gives clearly different parameters.
+    Rows are too far apart if a fit to every second row gives a clearly different value of a
+    parameter: the change exceeds two standard deviations and also 5 % of the parameter.
 
     Parameters
     ----------
@@ -592,8 +593,9 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
     values : ndarray, shape (n,)
         Parameters fitted to all flights.
     draws : ndarray, shape (n_draws, n)
-        Parameters fitted to random draws of the flights, one row for each draw. The standard
-        deviation of a parameter is that of its column.
+        Parameters fitted to random draws of the flights, one row for each draw and one column for
+        each parameter. The standard deviation of a column is the standard deviation of the
+        parameter.
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)

@@ -85,8 +85,8 @@ def read_logs(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, lacks a column, or holds values that no flight can have; the
-        message ends with the columns of a log.
+        If the file cannot be read, lacks a column, or holds values that no flight can have. The
+        message ends with a list of the columns that a log has, with their units.
     """
     try:
         return _read_rows(file)
@@ -244,8 +244,8 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
     Returns
     -------
     dict
-        The package's own name of each needed column, a key of the mapping `COLUMNS`, by the
-        column's name in the log.
+        Name of a needed column in the log -> the package's own name of this column, which is a key
+        of the mapping `COLUMNS`.
 
     Raises
     ------

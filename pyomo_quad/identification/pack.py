@@ -474,7 +474,8 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
     Returns
     -------
     PackIdentification or None
-        None if there are too few flights of sufficient length.
+        Fitted battery, with the standard deviations of its fields and the errors of its computed
+        voltages. None if there are too few flights of sufficient length.
     """
     if frame.empty:
         return None

@@ -152,8 +152,9 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
-    If the points have endurances in place of powers, the power is the energy of the vehicle's
-    battery that is assumed to be used, 80 % of the stored energy, divided by the endurance.
+    If the points have endurances in place of powers, the power is 80 % of the energy stored in the
+    vehicle's battery, divided by the endurance. This assumes that a flight uses 80 % of the stored
+    energy.
 
     Parameters
     ----------
@@ -184,7 +185,9 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 def _read_csv(file: Path) -> pd.DataFrame:
     """Read a CSV table of steady flight points: the columns that `STEADY_COLUMNS` lists.
 
-    Other columns are ignored. A table without rows, or without power and endurance, is an error.
+    Other columns of the table are ignored. `file` is the path of the table. A `ScenarioError` is
+    raised if the file cannot be read, or if the table has no rows, has text in a column, or has
+    neither a column of powers nor a column of endurances.
     """
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:

@@ -110,6 +110,11 @@ def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
         Rows of the flights, with measured power.
     power : ndarray, shape (n_rows,)
         Computed power of each row [W].
+
+    Returns
+    -------
+    Scores
+        Errors of the computed energies and powers.
     """
     table = energies(frame, power)
     total = table[[MEASURED_ENERGY, PREDICTED_ENERGY]].sum()
