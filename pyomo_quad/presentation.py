@@ -3,8 +3,8 @@
 Methods such as `Plan.plot` need the package `pyomo_quad.report`, which imports matplotlib. Modules
 that define plans and runs must not import `pyomo_quad.report`, because a lower package must not
 import a higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports
-the module `pyomo_quad.report.presenting`. When a plan or run is drawn or reported, it calls
-`presenter()`, which returns this module.
+and returns the module `pyomo_quad.report.presenting`, the presenter. When a plan or run is drawn or
+reported, its method calls `presenter()`, which returns the presenter.
 """
 
 from collections.abc import Callable

@@ -262,7 +262,8 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def fly_case(case: FlightCase) -> PaperFlight:
     """Plan a flight of an experiment of Yacef et al., and verify it by simulation.
 
-    `case` gives the experiment, the power model, the wind and the battery.
+    `case` gives the experiment, the power model, the wind and the battery. The result holds `case`,
+    the planned flight with the result of its simulation, and the status of the solve.
     """
     plan = _plan(case.scenario, Planner())
     return PaperFlight(
@@ -288,10 +289,11 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the planned flight, together with the result of a simulation of its controls.
+    """Return the flight of a plan, together with the result of a simulation of the plan's controls.
 
-    The planner does not simulate the controls if the solve has not converged. In this case this
-    function simulates them, so that the report can show a flight even if no optimum was found.
+    `plan` is the result of the planner. The planner does not simulate the controls if the solve has
+    not converged. This function then simulates the controls, so that the report can show a flight
+    even if no optimum was found.
     """
     if plan.verification is not None:
         return plan.flight()

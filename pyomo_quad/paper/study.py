@@ -44,7 +44,7 @@ class PackFacts:
     battery : str
         Library name of the battery.
     cells_series, cells_parallel : int
-        Numbers of cells.
+        Number of cells in series, and number of strings of such cells in parallel.
     power_model : PowerModel
         Power model with which the power of hovering is computed.
     stored_energy_J : float

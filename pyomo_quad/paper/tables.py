@@ -74,6 +74,11 @@ def corrections(study: PaperStudy) -> dict[str, Any]:
 
     An example is the shortfall of the thrust at the rotor speed that the paper prints for hover.
 
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+
     Returns
     -------
     dict
@@ -147,10 +152,11 @@ TABLES = {
 
 
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
-    """Return every table of the report on Yacef et al., by the name of its file without suffix.
+    """Return every table of the report on Yacef et al., by name.
 
-    `study` holds the results of the study. The dictionary `TABLES` describes the content of the
-    table of each name in words.
+    `study` holds the results of the study. The keys of the result are the names of the tables'
+    files without suffix. The dictionary `TABLES` has the same keys; its values describe the
+    contents of the tables in words.
     """
     rows = {
         "experiments": map(_experiment_row, study.flights),

@@ -284,9 +284,10 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 
 
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights with short peaks of power that a panel of power over time does not show.
+    """Return the flights whose short peaks of power are cut off in a panel of power over time.
 
-    The vertical axis of the panel does not extend to short peaks that would flatten all curves.
+    The vertical axis of the panel does not extend to short peaks, if the peaks would flatten all
+    curves. The result is empty if the axis shows all powers.
 
     Parameters
     ----------

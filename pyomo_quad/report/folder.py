@@ -274,11 +274,11 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Finish the replacement of an old output folder by a new one.
 
-    The replacement begins with a renaming of the new folder, which is complete, to a hidden name
-    that contains "ready", beside the final folder. This function renames the old folder to `aside`,
-    then the new folder to `final`. If a run is killed between the two renamings, no final folder
-    exists, and the next run does the second renaming. Nothing is done if there is no hidden folder
-    with this name, or if no run of this package made it.
+    The run that wrote the new folder has first renamed this complete folder to a hidden name that
+    contains "ready", beside the final folder. This function renames the old folder to `aside`,
+    then the new folder to `final`. If a run is killed between these two renamings, no final folder
+    exists, and the next run renames the new folder to `final`. Nothing is done if the hidden folder
+    does not exist, or if no run of this package made the hidden folder.
 
     Parameters
     ----------

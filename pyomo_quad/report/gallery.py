@@ -326,9 +326,10 @@ def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[s
     Returns
     -------
     views : dict
-        HTML of the player, by the name of the figure above which it is shown.
+        HTML of the player, by the name of the figure above which the player is shown; empty if the
+        report has no figure of the paths.
     data : str
-        The flights as JSON, for the player. Both are empty if the figure of the paths is not drawn.
+        The flights as JSON, for the player; empty if the report has no figure of the paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -365,7 +366,8 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 def _course(mission: "Scenario") -> str:
     """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths.
 
-    `mission` is the scenario of the map; the sentences name only what it has.
+    `mission` is the scenario of the map. The sentences omit waypoints, zones, floor or ceiling if
+    the scenario has none. The sentences also name the zones' clearance and the terrain, if any.
     """
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
@@ -383,7 +385,7 @@ def _course(mission: "Scenario") -> str:
 def _zones(mission: "Scenario") -> str:
     """Return the caption's sentence that names the keep-out zones of a scenario, `mission`.
 
-    It is empty if there are no zones.
+    The sentence is empty if the scenario has no keep-out zones.
     """
     named = ", ".join(zone.name for zone in mission.airspace.keep_out)
     return f" Red: keep-out zones ({named})." if named else ""
@@ -510,7 +512,8 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
     """Return a caption's sentence on short power peaks that are cut off in a figure.
 
     `flights` are the flights whose power the figure shows over time; the first is the plan. The
-    sentence names the flights with such peaks. It is empty if the figure shows all powers.
+    sentence names the flights with such peaks. The sentence is empty if the figure shows all
+    powers.
     """
     if POWER.name not in flights[0].frame:
         return ""
@@ -539,10 +542,10 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on energy bars that end below the hover energy.
 
     A flight can use less energy than hovering for the same time, for example in descent or in
-    forward flight. Its bar then ends inside the grey bar of the hover energy. `flights` are the
-    flights of the chart, the first of which is the plan, and `hover_energy_J` is the energy of
-    hovering for the duration of the plan. The sentence is empty if no flight uses less energy than
-    hovering.
+    forward flight. The flight's bar then ends inside the grey bar of the hover energy. `flights`
+    are the flights of the chart, the first of which is the plan, and `hover_energy_J` is the energy
+    of hovering for the duration of the plan. The sentence is empty if no flight uses less energy
+    than hovering.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
@@ -574,10 +577,11 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 
 
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
-    """Return a sentence for a caption that ends with the names of flights.
+    """Return a sentence for a figure's caption; the sentence ends with the names of `flights`.
 
-    An example is " Not drawn: A and B.". `words` is the beginning of the sentence, and `sign` the
-    punctuation before the names. The result is empty if there are no flights.
+    An example is " Not drawn: A and B.": here `words`, the beginning of the sentence, is
+    "Not drawn", and `sign`, the punctuation before the names, is ":". The result is empty if
+    `flights` is empty.
     """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 

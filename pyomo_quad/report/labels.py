@@ -25,9 +25,9 @@ _HALO = withStroke(linewidth=1.6, foreground="white")
 class Label:
     """Text label for a point of a figure; x and y are the point's data coordinates.
 
-    `color` is the colour of the text. `write_labels` places the label beside its point. If
-    `is_centred`, it may also be placed on the point, like the name of a zone in the middle of the
-    zone.
+    `color` is the colour of the text. The function `write_labels` places the label beside the
+    point. If `is_centred`, the label may also be placed on the point, like the name of a zone in
+    the middle of the zone.
     """
 
     text: str
@@ -86,9 +86,10 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield ten possible offsets of a label's middle from the place that it names, the best first.
+    """Yield ten possible offsets of a label's middle from the point that is labelled.
 
-    The offsets, and the width and height of the label in `size`, are in typographic points (1/72
+    The preferred offset comes first. `size` holds width and height of the label. Each offset has
+    a component to the right and a component upwards. All lengths are in typographic points (1/72
     inch).
     """
     half = size / 2 + _GAP

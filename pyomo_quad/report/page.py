@@ -216,8 +216,8 @@ def _end_of_section(before: Sequence[Token]) -> str:
 def _has_view(tokens: Sequence[Token], at: int, views: Mapping[str, str]) -> bool:
     """Return whether a report section has a figure with an interactive view (a flight player).
 
-    `at` is the index of the token that opens the section's heading. `views` holds the HTML of each
-    view by the name of its figure.
+    `tokens` are the markdown-it tokens of the report; `at` is the index of the token that opens the
+    section's heading. `views` holds the HTML of each view by the name of the figure.
     """
     end = next((k for k in range(at + 1, len(tokens)) if _is_h2(tokens[k])), len(tokens))
     children = (child for token in tokens[at:end] for child in token.children or ())

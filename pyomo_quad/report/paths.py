@@ -1,7 +1,8 @@
 """Figures of flight paths in space and on a map, and the data of the interactive player.
 
 The figures correspond to figures 4 and 6 of Yacef et al., "Energy-Efficiency Path Planning for
-Quadrotor UAV Under Wind Conditions". The first of several flights is the plan.
+Quadrotor UAV Under Wind Conditions". If a function receives several flights, the first of them is
+the plan.
 """
 
 import json

@@ -1,7 +1,8 @@
 """Figures and reports for methods such as `Plan.plot` and `RunResult.report`.
 
-The package registers this module with `pyomo_quad.presentation`, through which those methods call
-it, because the modules of plans and runs must not import matplotlib.
+Those methods do not import this module, because the modules of plans and runs must not import
+matplotlib. Instead the package registers a function that imports this module with the registry
+`pyomo_quad.presentation`, and the methods obtain this module from the registry.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -148,8 +148,8 @@ def _code(text: str) -> Markup:
 def _finalize(value: object) -> Markup:
     """Escape a value that a template prints, unless it is marked as Markdown already.
 
-    Values that a template or a filter produced are marked (type `Markup`). Jinja calls the function
-    for each value.
+    A value that a template or a filter produced as Markdown is marked by its type, `Markup`. Jinja
+    calls this function for each value that a template prints.
     """
     return value if isinstance(value, Markup) else written(escape_markdown(str(value)))
 
