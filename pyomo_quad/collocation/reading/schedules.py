@@ -625,15 +625,17 @@ def interpolant(
 ) -> Interpolant:
     """Approximate functions of time by piecewise polynomials over a horizon.
 
-    Between jumps, each piece is halved until a polynomial of degree 12 reproduces the functions to
-    1e-13. At a kink, the pieces thus become short.
+    Functions of time that cannot be pickled, such as rules of a model, are replaced by the result
+    in a pickle. The horizon is first divided at the jumps. A piece is halved until a polynomial of
+    degree 12 reproduces each function to 1e-13 of the function's largest magnitude in the piece.
+    At a kink, the pieces thus become short.
 
     Parameters
     ----------
     name : str
         Name of the component, for messages.
     row : callable
-        Time -> values of the functions.
+        Time -> sequence with the value of each function.
     horizon : (float, float)
         Times at which the approximation starts and ends.
     jumps : sequence of float
@@ -642,7 +644,8 @@ def interpolant(
     Returns
     -------
     Interpolant
-        Without pieces, but with a message, if the functions fail or are too rough.
+        The polynomials. If a function raises a `TranscriptionError`, or if more than 20,000 pieces
+        are needed, the result has no polynomials, but a message with the reason.
     """
     start, end = horizon
     refusal = (
@@ -672,16 +675,18 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Fit a polynomial to functions of time, between the times `first` and `last`.
+    """Fit a polynomial to each of several functions of time, between the times `first` and `last`.
 
-    `row` maps a time to the values of the functions.
+    `row` maps a time to a sequence with the value of each function.
 
     Returns
     -------
     ndarray, shape (degree + 1, n_functions)
-        Chebyshev coefficients of the polynomial through the values at 13 Chebyshev nodes.
+        Chebyshev coefficients of the polynomials. Each polynomial has degree 12, and passes through
+        the values at 13 Chebyshev nodes. If all functions are constant, the degree is 0.
     bool
-        Whether the polynomial agrees with the functions between the nodes to 1e-13.
+        Whether the polynomials agree with the functions between the nodes, to 1e-13 of the largest
+        magnitude of each function.
     """
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local

@@ -1,4 +1,4 @@
-"""CasADi symbols of a Pyomo model's components, and its declarations in terms of symbols.
+"""CasADi symbols of a Pyomo model's components, and the model as expressions of these symbols.
 
 The engine reads equations over time at a single interior time, the template time, which is added to
 the continuous set of a clone of the model. The members of constraints at that time hold for all
@@ -230,20 +230,21 @@ def time_parameter() -> Any:
 
 
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
-    """Return the integrand of a `pyomo.dae.Integral` at a time.
+    """Return the integrand of a `pyomo.dae.Integral` at a time, as a Pyomo expression.
 
     `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. Here
-    the rule is called with a single trapezoid, whose two ends are the same time. The difference of
-    two such symbols or numbers is defined as 1, so that the rule returns the integrand at that
-    time.
+    the rule is called for a single trapezoid, both ends of which are `symbol`. The class of
+    `symbol` defines the difference of the two ends as 1. The area of the trapezoid, which the rule
+    returns, is therefore the integrand at that time.
 
     Parameters
     ----------
     integral : Integral
     index : index of the integral, or None
+        Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time: a symbol, or a number that selects the members at the template time (the added
-        interior time at which equations are read).
+        The time: a symbol for all times, or a number. As an index, either one selects the members
+        of variables at the template time (the added interior time at which equations are read).
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -274,7 +275,11 @@ class Address:
 
 
 def indexed_name(component: str, index: tuple[Any, ...]) -> str:
-    """Return the name of a component's member with its index in brackets, as ``omega[1]``."""
+    """Return the name of a component's member with its index in brackets, as ``omega[1]``.
+
+    `component` is the name of the component. `index` is the index of the member; if it is (), the
+    result is the name of the component alone.
+    """
     return f"{component}[{','.join(str(i) for i in index)}]" if index else component
 
 
@@ -761,11 +766,14 @@ class SymbolTable:
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
-        """Return the symbol of a variable over time or of its derivative with respect to time.
+        """Return a variable over time, or its time derivative, in CasADi symbols.
 
-        An algebraic variable that is fixed at all declared times (members of the continuous set)
-        becomes a parameter. `data` is the Pyomo data object, `address` its component, index and
-        time.
+        `data` is a member of the variable or of the derivative, a Pyomo data object, and `address`
+        has its component, index and time. At the template time (the added interior time at which
+        equations are read), the result stands for the variable or derivative as a function of time.
+        At a declared time (a member of the continuous set that the user gave it), the result stands
+        for the value at that time. An algebraic variable that is fixed at all declared times
+        becomes a parameter, whose symbol is returned.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar
@@ -790,8 +798,8 @@ class SymbolTable:
 
         The object is a `Slot`. The result is None for an algebraic variable that is fixed at all
         declared times (members of the continuous set), because such a variable becomes a parameter.
-        `variable` is the Pyomo component.
-        `address` has the index of the member without the time.
+        `variable` is the Pyomo component, and `address` has the index of its member without the
+        time.
         """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):

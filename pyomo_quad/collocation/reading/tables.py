@@ -122,8 +122,10 @@ def _extended_linearly(
 
     A knot of multiplicity degree - 1 at the first and last data point keeps value and slope
     continuous there, and permits the linear continuation. The spline is determined by its values at
-    the averages of its knots. Inside the range of the data, these values are taken from the
-    interpolating spline; outside, from the tangent of that spline at the nearest data point.
+    the Greville abscissae: each is the mean of `degree` successive knots. At abscissae inside the
+    range of the data, the value is taken from a spline that interpolates the data. At abscissae
+    outside the range, the value is taken from the tangent of the interpolating spline at the
+    nearest data point.
 
     Parameters
     ----------
@@ -132,6 +134,12 @@ def _extended_linearly(
     values : ndarray, shape (n, ...)
         Values at the data points; all further axes are interpolated alike.
     degree : int
+
+    Returns
+    -------
+    knots : ndarray, shape (n_knots,)
+    coefficients : ndarray, shape (n_knots - degree - 1, ...)
+        B-spline coefficients along the first axis; the further axes are those of `values`.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
 
@@ -161,8 +169,9 @@ class Table(PythonCallbackFunction):
     Parameters
     ----------
     *grid : array_like
-        First one array of points per argument, with at least four rising points each; last the
-        array of values, with one axis per argument.
+        An array of grid points for each argument, followed by the array of values as the last item.
+        Each array of grid points has at least four points, which rise. The array of values has one
+        axis per argument.
     units, arg_units : optional
         Pyomo unit of the values, and tuple of the units of the arguments; dimensionless by default.
 
@@ -179,7 +188,9 @@ class Table(PythonCallbackFunction):
         super().__init__(fgh=self._at, **keywords)
 
     def __call__(self, *arguments: Any) -> Any:
-        """Return the Pyomo expression of the table at expressions or numbers.
+        """Return the Pyomo expression that stands for the table's value at given arguments.
+
+        `arguments` are Pyomo expressions or numbers, one for each argument of the table.
 
         Raises
         ------
@@ -263,9 +274,9 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
     Parameters
     ----------
     node : Pyomo expression
-        The call.
+        The call of the function.
     arguments : sequence of casadi.SX
-        Translated arguments.
+        Arguments of the call, already translated to CasADi.
     owner : str
         Name of the component that contains the call, for messages.
     uses : list of TableUse
@@ -301,12 +312,14 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    The function is called with CasADi symbols. The resulting expression must agree with the
-    function at a few random points.
+    The function is called with CasADi symbols, and returns an expression of these symbols. The
+    values of the expression are compared with the values of the function at a few random points. If
+    the call fails or any of the values differ, the result is None.
 
     Parameters
     ----------
     function : Pyomo ExternalFunction
+        Pyomo component that contains the Python function.
     inputs : sequence of casadi.SX
         Arguments of the call in CasADi.
     stated : sequence
@@ -427,8 +440,9 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
     """Return the largest relative difference between a function and its spline.
 
-    The function `call` and the spline are compared at random points between the samples. The
-    difference is relative to `size`, the magnitude of the function.
+    `call` is the function, which takes one number per argument. `spline` is the spline through
+    samples of the function. The two are compared at random points in the range of the spline. The
+    difference is divided by `size`, the magnitude of the function, unless `size` is 0.
     """
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)

@@ -96,14 +96,18 @@ class Instance:
 
 
 class ModelValues:
-    """Reader and writer of a model's numbers, in the order of the compiled declarations.
+    """Reader and writer of a model's numbers, such as values of parameters and variables.
+
+    Arrays and lists of numbers have the order in which the compiled equations expect the parameters
+    and variables.
 
     Parameters
     ----------
     source : LiveModel or ModelSnapshot
         The Pyomo model, or the values that a pickle keeps.
     declared : Declarations
-        The model in CasADi symbols, which determines the order of its numbers.
+        The model in CasADi symbols, from which the equations are compiled. It determines the order
+        of the parameters and variables.
     """
 
     def __init__(self, source: LiveModel | ModelSnapshot, declared: Declarations) -> None:
@@ -257,8 +261,9 @@ class ModelValues:
         return found
 
     def _signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
-        """Return the parameters over time as functions of time, in declared order.
+        """Return each parameter over time as a function of time.
 
+        The functions have the order in which the compiled equations expect the parameters.
         `overrides` has the parameter values that the caller gives, which take precedence over the
         rules in the model.
         """

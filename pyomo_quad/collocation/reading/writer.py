@@ -85,7 +85,8 @@ class ExpressionWriter:
         Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
     named : callable, optional
         Takes a named Pyomo expression and returns its replacement: a CasADi symbol or another Pyomo
-        expression. None keeps the named expression itself.
+        expression. If the callable returns None, or if it is not given, the named expression is not
+        replaced: its own definition is translated.
 
     Notes
     -----
@@ -648,12 +649,13 @@ class TemplateWriter:
         return symbol
 
     def named(self, expression: Any) -> Any:
-        """Return the replacement of a named Pyomo expression; None keeps the expression itself.
+        """Return the replacement of a named Pyomo expression or integral, in CasADi symbols.
 
-        Integrals are replaced by their symbols, and expressions over time by the result of their
-        rules in CasADi symbols.
-
-        `expression` is the named expression or integral, a Pyomo data object.
+        `expression` is the named expression or integral, a Pyomo data object. An integral is
+        replaced by its symbol. An expression over time, at the template time (the added interior
+        time at which equations are read), is replaced by the result of its rule. For any other
+        named expression the result is None: the expression is not replaced, and its own definition
+        is translated.
         """
         component = expression.parent_component()
         if component is None:

@@ -301,7 +301,7 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the magnitude by which errors of the objective are divided, in its unit.
+    """Return the magnitude by which errors of the objective are divided, in the objective's unit.
 
     The result is the largest of three numbers: the magnitude of the objective; min(1, s), for an
     objective near zero; and 1e-4 s. Here s is the inverse of the factor by which the objective is
@@ -315,7 +315,7 @@ def _gap(solution: Solution) -> float:
     """Return the complementarity gap that Ipopt's barrier leaves, relative to the objective.
 
     The gap is the sum, over all limits, of multiplier times distance to the limit. For a convex
-    problem it bounds the difference of the objective from its optimum.
+    problem, the objective exceeds its optimum by at most the gap.
     """
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)

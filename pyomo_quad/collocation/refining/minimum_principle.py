@@ -5,8 +5,11 @@ Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 At the solution of a nonlinear program, small changes of a control gain nothing. Large changes may
 gain nevertheless if the Hamiltonian has two local minima: a switch of the control between the
 minima then stays at the time at which the solve on the first mesh placed it. A finer mesh does not
-reveal the error, but Pontryagin's principle does. Small changes also do not show how well the
-optimum determines the states: on a singular arc the objective hardly depends on them.
+reveal the error, but Pontryagin's principle does.
+
+On a singular arc the objective is flat about its optimum: it hardly depends on the states. The
+states may then be inaccurate although the error of the objective is small. This inaccuracy is
+estimated from the order of the singular arc.
 """
 
 from __future__ import annotations
@@ -139,17 +142,19 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     """Return the free controls for which the Hamiltonian may have several local minima.
 
     A free control is a bounded algebraic variable that appears in no algebraic equation, so that it
-    can be changed alone. Between two minima the second derivative of the Hamiltonian with respect
-    to the control is negative. The derivative is evaluated at several values between the control's
-    bounds, and the control is included if the derivative is negative at any of them. If the
-    coefficient of a state's rate in an equation depends on the control, the sign of the derivative
-    is no test; such a control is always included.
+    can be changed alone. Somewhere between two minima, the second derivative of the Hamiltonian
+    with respect to the control is negative. This second derivative is evaluated at several values
+    between the control's bounds, at all collocation points. The control is included if the second
+    derivative is negative at any of these values. If the coefficient of a state's rate (time
+    derivative) in an equation depends on the control, the sign of the second derivative shows
+    nothing; such a control is always included.
 
     Parameters
     ----------
     solution : Solution
+        Solution whose states and multipliers give the Hamiltonian.
     lower, upper : ndarray, shape (n_points, n_algebraics)
-        Bounds of the algebraic variables.
+        Bounds of the algebraic variables at each collocation point.
 
     Returns
     -------
@@ -262,7 +267,7 @@ def state_error(
     solution : Solution
         Solution whose distance from the optimum is estimated.
     error : ErrorEstimate
-        Its estimated errors.
+        Estimated errors of `solution`.
     before : Solution, optional
         Solution on the previous mesh; given if limits become active or inactive inside elements.
     change : float

@@ -243,8 +243,9 @@ class _Refinement(Generic[S]):
     def _recorded(self, solved: S, errors: tuple[ErrorEstimate, ...], **more: Any) -> S:
         """Add a solution to the history of the refinement, and pass it to the caller's callback.
 
-        `errors` has the estimated errors of the solution, one for each horizon. The result is the
-        solution with its largest error, the history, and the attributes in `more`.
+        `solved` is the solution, and `errors` has its estimated errors, one for each horizon. The
+        result is a copy of the solution. In the copy, the largest error and the history are stored
+        as attributes, and the attributes that `more` names have the values given in `more`.
         """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
@@ -288,16 +289,17 @@ class _Refinement(Generic[S]):
 
         The warm start, the meshes and the damping of the next solve are stored in this object.
         Damping is a penalty on the distance of controls that enter linearly from the smoothed
-        controls of the present solution; it is increased if the present solve with damping took
-        many iterations, or if the objective has hardly changed on several meshes.
+        controls of the present solution. The penalty is increased if the present solve with damping
+        took many iterations, or if the objective has hardly changed on several meshes with damping.
 
         Parameters
         ----------
         solution : Solution or JointSolution
             Solution on the present meshes, from which the next solve starts.
         errors : tuple of ErrorEstimate
-            Its estimated errors, one for each horizon. The complementarity gap that the next solve
-            may leave depends on them.
+            Estimated errors of `solution`, one for each horizon. The complementarity gap (the error
+            that Ipopt's barrier leaves in the objective) of the next solve may depend on these
+            errors.
         finer : tuple of Mesh
             The next meshes, one for each horizon.
         is_damped : bool
