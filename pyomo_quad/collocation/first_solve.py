@@ -1,8 +1,8 @@
 """First solve of a problem, on its initial mesh, with fallback strategies if it fails.
 
-The strategies are the rows of the table `strategies.STRATEGIES` for the first mesh. They change the
-initial point, the mesh or the settings of Ipopt. This module carries the strategies out, on a model
-with one horizon or several.
+The table `strategies.STRATEGIES` lists strategies for several parts of a solve. This module carries
+out the strategies for one part, the solve on the initial mesh, for models with one horizon or
+several. Fallback strategies change the initial point, the mesh or the settings of Ipopt.
 """
 
 from __future__ import annotations
@@ -48,9 +48,12 @@ class FirstSolve(Search[S], Generic[S]):
     Attributes
     ----------
     solve : callable
-        (mesh, start, options=, is_scaled=) -> solution on that one mesh.
+        Function (mesh, start, options=, is_scaled=) -> solution on that one mesh. The argument
+        `start` is a guess or a warm start, `options` are settings of Ipopt, and `is_scaled` is
+        whether Ipopt solves the scaled program.
     finish : callable
-        (solve, mesh, start) -> the solution, on refined meshes if a tolerance is given.
+        Function (solve, mesh, start) -> solution, on refined meshes if a tolerance is given. Its
+        argument `solve` is a function that solves on one mesh, such as the attribute `solve`.
     judge : callable
         Takes a failed solution and minimises the constraint violation (elastic program); returns
         the solution with a message that names the equations which cannot be satisfied together.
@@ -113,7 +116,8 @@ class FirstSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S | None:
         """Solve with the initial point, mesh and settings that a fallback strategy prescribes.
 
-        The result is None if the strategy does not apply to this problem.
+        `strategy` is the fallback strategy. The result is the solution, converged or failed; it is
+        None if the strategy does not apply to this problem.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -153,7 +157,7 @@ class FirstSolve(Search[S], Generic[S]):
         return self.finish(own, mesh, self.start)
 
     def is_final(self, found: S) -> bool:
-        """Return whether `found`, the result of the last strategy, ends the search.
+        """Return whether `found`, the result of the strategy tried last, ends the search.
 
         Any successful result ends the search. A failed result of a fallback strategy does not end
         the search. The failed result of the solve that the caller requested ends the search in two
@@ -170,8 +174,8 @@ class FirstSolve(Search[S], Generic[S]):
         """Return the result to report if all strategies have failed.
 
         The result is that of the solve that the caller requested, with a verdict that states
-        whether the problem is infeasible near the last iterate. `last`, the result of the last
-        strategy, is not used.
+        whether the problem is infeasible near the last iterate. `last`, the result of the
+        strategy tried last, is not used.
         """
         del last
         return self.judged
@@ -184,8 +188,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Transcription (nonlinear program on one mesh) -> its bounds. All conditions (constraints at
-        single times) are imposed, also redundant conditions.
+        Function from a nonlinear program on one mesh (a `Transcription`) to the bounds of its
+        unknowns and constraints. These bounds include all conditions (constraints at single times),
+        also redundant conditions.
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
         trajectory. The function returns None if the model has controls or free initial states,

@@ -447,11 +447,23 @@ class Formulation:
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the compiled equations and the model's data, without the Pyomo model."""
+        """Return the recipe by which `pickle` stores this formulation, without the Pyomo model.
+
+        Returns
+        -------
+        callable, tuple
+            The function `_restored`, which restores the formulation, and its arguments: the class
+            of the formulation, the compiled equations, the data of the Pyomo model (such as
+            parameter values), and the evaluator of the model's components.
+        """
         return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Copy the formulation together with its Pyomo model."""
+        """Return a copy of the formulation together with a copy of its Pyomo model.
+
+        `memo` is the dictionary in which `copy.deepcopy` records the objects copied so far, with
+        the identity of an object as key and its copy as value. This method adds the formulation.
+        """
         memo[id(self)] = other = object.__new__(type(self))
         vars(other).update(deepcopy(vars(self), memo))
         return other
@@ -477,7 +489,7 @@ class Formulation:
         Raises
         ------
         TranscriptionError
-            If the problem was pickled; a pickle does not contain the model.
+            If this formulation was restored from a pickle, which does not contain the model.
         """
         return self.source.model
 
@@ -491,6 +503,7 @@ class Formulation:
 
         The result has, in increasing order, the fractions between 0 and 1 at which a constraint at
         a single time is imposed, a variable is fixed, or a time-dependent parameter jumps.
+        `instance` is the data of one solve, which include the times of the jumps.
         """
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}

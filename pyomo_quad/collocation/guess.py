@@ -393,9 +393,12 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number` of an unknown, moved inside the unknown's bounds.
 
     `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among all
-    unknowns. A value that lies inside the bounds is returned unchanged. A value outside the bounds,
-    or NaN, becomes the middle of the lower and the upper bound if both are finite. If only one
-    bound is finite, the value becomes this bound. NaN becomes infinite if no bound is finite.
+    unknowns. A `number` inside the unknown's bounds is returned unchanged. If `number` is NaN or
+    lies outside the bounds, the result depends on how many of the two bounds are finite:
+
+    - both: the middle of the lower and the upper bound;
+    - one: this bound;
+    - none (possible for NaN only): the upper bound, which is infinite.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

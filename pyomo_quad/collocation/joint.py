@@ -166,12 +166,12 @@ class JointSolution(Outcome):
         Returns
         -------
         float or ndarray
-            In the shape of `t`.
+            Values in the shape of `t`; a single number if `t` is omitted.
 
         Raises
         ------
         TranscriptionError
-            If the model has no such component, or a time lies outside its horizon.
+            If the model has no such component, or a time lies outside the component's horizon.
         """
         if t is not None:
             return self.on(component, index).value(component, t, index)
@@ -203,7 +203,7 @@ class JointSolution(Outcome):
         Raises
         ------
         TranscriptionError
-            If the model has no such state, or a time lies outside its horizon.
+            If the model has no such state, or a time lies outside the state's horizon.
         """
         return self.on(state, index).costate(state, t, index)
 
@@ -226,7 +226,8 @@ class JointProblem(Summarised):
     Attributes
     ----------
     horizons : dict
-        Compiled declarations over each horizon, by the name of the set.
+        For each horizon, the `Formulation` (compiled declarations) of the components over this
+        horizon, by the name of the continuous set.
     coupling : Formulation
         The objective, and the declarations that concern several horizons or no horizon.
 
@@ -402,9 +403,11 @@ class JointProblem(Summarised):
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
         """Split the user's guess into one guess per horizon, and one for variables of no horizon.
 
-        The keys of `guess` are names of variables, or names of horizons with a guess for all
-        variables of that horizon. The result is a list in the order of the horizons; the guess for
-        the variables of no horizon comes last.
+        A key of `guess` is the name of a variable or of a horizon. The value under the name of a
+        variable is the guess for this variable. The value under the name of a horizon is a mapping
+        with the guesses for the variables of this horizon, and replaces all other guesses for them.
+        The result is a list in the order of the horizons; the guess for the variables of no horizon
+        comes last.
 
         Raises
         ------
@@ -622,13 +625,13 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set static variables of the coupling to the values of one horizon that they represent.
+        """Set the static variables of the coupling that stand for values of one horizon.
 
-        The coupling consists of the objective and of the constraints on several horizons. For some
-        values of a horizon, for example the derivative of a state at the end of the horizon, the
-        coupling contains a static variable (a variable without time) in place of the value. This
-        method computes each such value from the unknowns of the horizon, and stores the value as
-        the entry of the static variable in `z`.
+        The coupling consists of the objective and of the constraints on several horizons. Some
+        values of a horizon, for example the derivative of a state at the end of the horizon, occur
+        in the coupling. There, a static variable (a variable without time) stands for each such
+        value. This method computes each such value from the unknowns of the horizon, and stores the
+        value as the entry of the static variable in `z`.
 
         Parameters
         ----------
@@ -652,9 +655,11 @@ class JointProblem(Summarised):
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
         """Raise an error if the joint program is not finite at the point `z`, or over-determined.
 
-        A program is over-determined if it has more equations than free unknowns, and if these
-        equations are linear and contradict each other. `union` joins the nonlinear programs of all
-        horizons to the joint program, and `bounds` are the bounds of its unknowns and constraints.
+        A program is over-determined under two conditions. The program has more equations
+        (constraints with equal bounds) than free unknowns (unknowns with unequal bounds), and all
+        its equations are linear and contradict each other. `union` joins the nonlinear programs of
+        all horizons to the joint program, and `bounds` are the bounds of the unknowns and
+        constraints of the joint program.
         """
         held = set()
         for k, program in enumerate(union.programs):

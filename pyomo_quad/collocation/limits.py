@@ -34,7 +34,10 @@ class Violation:
 
     @property
     def relative(self) -> float:
-        """Size of the violation relative to max(1, abs(bound)), dimensionless."""
+        """Size of the violation relative to max(1, abs(bound)), dimensionless.
+
+        Here `bound` is the value of the limit at the time of the worst violation.
+        """
         return self.size / max(1.0, abs(self.bound))
 
 
@@ -72,7 +75,11 @@ class LimitValues:
 
     @property
     def relative_violations(self) -> FloatArray:
-        """Violations at the n times relative to max(1, abs(bound)); 0 where the limit is met."""
+        """Violations at the n times relative to max(1, abs(bound)), shape (n,).
+
+        Here `bound` is the lower or the upper bound at that time, whichever is violated. The
+        violation is 0 where the value lies between the two bounds.
+        """
         return outside(self.values, self.lower, self.upper)
 
     def worst(self, chosen: slice, t: FloatArray) -> Violation:

@@ -59,8 +59,8 @@ def barycentric_weights(nodes: FloatArray) -> FloatArray:
 
     The weight of a node is the inverse of the product of its differences from all other nodes. The
     differences are multiplied by 4, the inverse of the logarithmic capacity of the interval, so
-    that the products neither underflow nor overflow at high degree. The common factor has no effect
-    on barycentric interpolation.
+    that the products neither underflow nor overflow at high degree. The multiplication changes all
+    weights by the same factor, which has no effect on barycentric interpolation.
     """
     differences = 4.0 * (nodes[:, None] - nodes[None, :])
     np.fill_diagonal(differences, 1.0)
@@ -680,7 +680,7 @@ class Mesh(Summarised):
         Parameters
         ----------
         fractions : iterable of float
-            The boundaries as fractions of the horizon.
+            The additional boundaries as fractions of the horizon.
         """
         breakpoints, degrees = list(self.breakpoints), list(self.degrees)
         for fraction in sorted(fractions):

@@ -84,7 +84,13 @@ class Problem(Summarised, Formulation):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Objective, number of components of each kind, and DAE index if above 1, as text."""
+        """Objective, numbers of components, and structural index of the DAE, as text by label.
+
+        The components are states, output states (on which neither objective nor other equations
+        depend), algebraic and static variables, equations over time, conditions (constraints at
+        single times) and parameters. A number is left out if it is 0, and the index if it is at
+        most 1.
+        """
         declared = self.compiled.declared
         counts = {
             "states": declared.states,

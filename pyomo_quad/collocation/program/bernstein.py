@@ -39,17 +39,22 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    A coefficient that equals a value at a node is left out, because the value is an unknown of the
-    program and has bounds already. Left out are the first and the last coefficient of a state, and
-    the last coefficient of an algebraic variable.
+    The values of a state are those at the element's left end and at its collocation points; the
+    values of an algebraic variable are those at the collocation points only. The last collocation
+    point is the element's right end. The first coefficient is the polynomial's value at the left
+    end of the element, and the last coefficient its value at the right end. Where this value is an
+    unknown of the program, it has bounds already, and the coefficient is left out. Left out are
+    therefore the first and the last coefficient of a state, and the last coefficient of an
+    algebraic variable.
 
     Attributes
     ----------
     coefficients : ndarray, shape (n_coefficients, n_values)
-        Matrix from the values at the nodes to the coefficients.
+        Matrix from the variable's values in the element to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
-        Matrix from the values at the nodes to the values of the polynomial at the abscissae of the
-        coefficients, which are equidistant in the element.
+        Matrix from the variable's values in the element to the values of its polynomial at the
+        abscissae of the coefficients. The abscissae of all coefficients, including those left out,
+        are equidistant in the element.
     """
 
     coefficients: FloatArray
@@ -190,9 +195,11 @@ def bounded(
     """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
 
     Bounds on the coefficients keep the trajectory within the variables' bounds between the
-    collocation points too. An element is near a bound if one of its coefficients, for the given
-    trajectory, violates the bound, or is closer to it than 0.45 times the distance between the
-    variable's lower and upper bound (0.45 max(1, abs(bound)) if only one of them is finite).
+    collocation points too. The Bernstein coefficients of a variable in an element are bounded there
+    if one of these coefficients, computed for the given trajectory, is near a bound of the
+    variable. A coefficient is near a bound if it violates the bound, or if its distance from the
+    bound is below a margin. The margin is 0.45 times the distance between the variable's lower and
+    upper bound, or 0.45 max(1, abs(bound)) if only one of the two bounds is finite.
 
     Parameters
     ----------

@@ -169,10 +169,11 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 
     A bound may jump together with the parameter. The node at the jump is the end of an element,
     where the bounds at collocation points are evaluated just before the jump. This function
-    evaluates the bounds just after the jump, so that the state must satisfy both.
+    evaluates the bounds just after the jump. The state at the node must satisfy the bounds just
+    before and just after the jump.
 
-    `data` has one row per jump: the fraction of the horizon, the time-dependent parameters just
-    after the jump, and the constant parameters.
+    `program` is the nonlinear program on one mesh. `data` has one row per jump: the fraction of the
+    horizon, the time-dependent parameters just after the jump, and the constant parameters.
     """
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
@@ -187,9 +188,10 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
     """Yield the values of states that are fixed at declared times, as equal bounds at a node.
 
-    A declared time is a member of the continuous set. `fixed` maps (variable name, fraction of the
-    horizon) to the value. The lower and the upper bound of the state's unknown at the nearest node
-    both equal this value.
+    A declared time is a member of the continuous set. `program` is the nonlinear program on one
+    mesh. `fixed` maps (variable name, fraction of the horizon) to the fixed value; variables that
+    are no states are skipped. Both bounds of a fixed state at the node nearest to the declared time
+    equal the fixed value.
     """
     for (name, fraction), number in fixed.items():
         column = program.layout.state_column(name, fraction)
@@ -203,7 +205,8 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 
     A static variable is a variable without time; a declared time is a member of the continuous set.
     The bounds are those of the Pyomo variables without time, and those from conditions (constraints
-    at declared times) on a single state or a single static variable.
+    at declared times) on a single state or a single static variable. `program` is the nonlinear
+    program on one mesh.
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -247,7 +250,7 @@ def _refuse_crossed_times(program: Transcription) -> None:
     A declared time is a member of the continuous set. A free time is a static variable (a variable
     without time) that gives the physical time of a declared time. The order is contradicted if the
     least value that the bounds permit for one time is not below the greatest value that they permit
-    for a later time.
+    for a later time. `program` is the nonlinear program to which the static variables belong.
     """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
@@ -336,10 +339,11 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 
 
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
-    """Return the largest absolute derivative of each constraint, shape (n_rows,).
+    """Return the largest absolute derivative of each constraint of a program, shape (n_rows,).
 
-    The derivatives are taken at the point `z`, with respect to unknowns in units of their
-    magnitudes `nominal`.
+    `program` is the nonlinear program, and `nominal` are the magnitudes of its unknowns. The
+    derivatives are taken at the point `z`, with respect to the unknowns divided by their
+    magnitudes.
     """
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):
@@ -390,9 +394,11 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
     """Raise an error if a program has values that are not finite, or is over-determined.
 
+    `program` is the nonlinear program, and `bounds` are the bounds of its unknowns and constraints.
     The values are those of constraints, objective and derivatives at the initial point `z`. A
-    program is over-determined if it has more equations than free unknowns (unknowns with unequal
-    `bounds`), and if these equations are linear and contradict each other.
+    program is over-determined under two conditions. The program has more equations (constraints
+    with equal bounds) than free unknowns (unknowns with unequal bounds), and all its equations are
+    linear and contradict each other.
 
     Raises
     ------
@@ -409,7 +415,8 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 def counted(bounds: Bounds) -> str:
     """Return a phrase with the numbers of equations and of free unknowns, for error messages.
 
-    Unknowns with unequal bounds are free; constraints with equal bounds are equations.
+    `bounds` are the bounds of the unknowns and constraints of a program. Unknowns with unequal
+    bounds are free; constraints with equal bounds are equations.
     """
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"

@@ -63,7 +63,10 @@ class MappedFunction:
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the constructor's arguments only; the restored copy allocates its buffers anew."""
+        """Return the recipe by which `pickle` stores this function: class and arguments.
+
+        The arguments are those of the constructor. The restored copy allocates its buffers anew.
+        """
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
