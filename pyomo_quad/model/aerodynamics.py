@@ -174,8 +174,9 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
     """Return the wind forces of eq. (9) as Pyomo rules, with their documentation texts.
 
-    The equation, as printed in the paper (Yacef et al.), adds the wind velocity times 1 1/s to the
-    acceleration. The keys of the result are the names of the forces along the world axes:
+    The equation, as printed in the paper (Yacef et al.), adds a multiple of the wind velocity to
+    the acceleration of the vehicle; the factor has the unit 1/s. The force is this acceleration
+    times the mass. The keys of the result are the names of the forces along the world axes:
     `force_x`, `force_y` and `force_z`. `updraft` is the vertical wind over time, or None for a
     horizontal wind.
     """

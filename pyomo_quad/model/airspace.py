@@ -21,8 +21,9 @@ about w, places up to 0.14 w = 70 mm outside the zone (0.28 w = 140 mm at the co
 forbidden, too. Elsewhere the forbidden places are exactly the zone. The clearance moves each face
 outwards by the distance c, and does not round the edges between the faces.
 
-A polygon with k corners has k + 1 faces, blended in the same way. Near a corner with several faces
-at nearly the same distance, up to 0.14 w more is forbidden for each further face.
+A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
+Near a corner of the prism, where several of the d_k are nearly equal, up to 0.14 w more is
+forbidden for each d_k beyond the second.
 
 The fence (`keep_in`) is a linear limit for each of its edges. The fence is exact everywhere,
 corners included, and has no clearance.
@@ -353,8 +354,9 @@ def _largest(distances: Sequence[Any], width: Any) -> Any:
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
-    The surface is the surface of the forbidden places: the zone with its clearance and its rounded
-    edges. A waypoint with a radius is not checked, because the flight may pass beside it.
+    The surface is that of the forbidden places. These are the zone, enlarged by the clearance, and
+    the places near its edges that the smooth maximum of the model forbids, too. A waypoint with a
+    radius is not checked, because the flight may pass beside the waypoint.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.

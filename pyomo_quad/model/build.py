@@ -288,7 +288,8 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
     Parameters
     ----------
     m : ConcreteModel
-        A mission's model, not yet discretised; the bounds of a free duration are replaced.
+        A mission's model, not yet discretised. If the model already has a variable duration, the
+        bounds of this variable are replaced.
     bounds : pair of float
         Least and greatest duration to search [s].
     guess : float

@@ -101,8 +101,8 @@ def terrain_key(scenario: Scenario) -> Hashable:
     Over terrain, the model of a mission that keeps charge for a return flight has a table of
     heights for each home (the start of the mission, or a rally point): the heights that clear the
     ground on the straight way to this home. Changing parameter values does not change the tables.
-    The result is therefore part of `structure_key`, so that a compiled model is not used again for
-    other homes.
+    The result is therefore part of the key by which the function `structure_key` tells compiled
+    models apart, so that a compiled model is not used again for other homes.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None

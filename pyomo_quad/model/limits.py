@@ -7,8 +7,8 @@ added, because with the paper's efficiency function the problem has no minimum o
 
 A plan uses only a part of the largest rotor speed and thrust; the fraction `reserve` is left to the
 controller that follows the plan. A motor with lag accelerates its rotor by at most (rotor_speed_max
-- speed) / time constant. The reserve and the limit by the lag are declared only if `reserve` and
-the time constant are not zero.
+- speed) / time constant. The reserve is declared only if `reserve` is not zero, and the limit by
+the lag only if the time constant of the motor is not zero.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt

@@ -169,11 +169,12 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 
 
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of the times that the plan chooses, by their nominal time [s].
+    """Return the Pyomo variables of the times that a plan chooses, each by its nominal time [s].
 
-    The times are the duration, if the duration is free, the passage of each waypoint and the end of
-    each hover at a waypoint. In the time set of the model `m`, each variable is represented by a
-    member, its nominal time: the time that the scenario prescribes or estimates.
+    The chosen times are the duration, if the duration is free, the passage of each waypoint and the
+    end of each hover at a waypoint. The nominal time of a variable is the value that `scenario`
+    prescribes or estimates for it. The time set of the model `m` contains the nominal time in place
+    of the variable. Keys of the result are the nominal times, values the variables.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -403,8 +404,8 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
     Models for replanning in flight use this end condition. In wind, a vehicle at rest with a level
-    attitude is not in equilibrium: it reaches this state for an instant only, by a well-timed
-    swing. If the wind is not known exactly, the vehicle misses the instant.
+    attitude is not in equilibrium: the vehicle can be at rest and level for an instant only, by a
+    well-timed swing. If the wind is not known exactly, the vehicle misses the instant.
 
     Parameters
     ----------

@@ -388,8 +388,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 def _declare_floor(m: ConcreteModel) -> None:
     """Declare the power of each rotor as a smooth max(P, 0), for a mission without regeneration.
 
-    P is the power of the chosen power model, which block `power` of the model `m` already has. It
-    is negative if a rotor brakes, but without regeneration braking returns no energy.
+    P is the power of a rotor by the chosen power model. The block `power` of the model `m` already
+    has P as an expression. P is negative if the rotor brakes, but without regeneration braking
+    returns no energy.
     """
     b = m.power
 

@@ -86,7 +86,8 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `vehicle`, `rotors`, `aerodynamics` and the states of
         `rigid_body`.
     scenario : Scenario
-        Scenario whose field `vehicle.attitude` selects the yaw balance: exact, or of the paper.
+        Scenario whose field `vehicle.attitude` selects the yaw balance: the exact balance, or that
+        of the paper, which omits the reaction of the body to accelerating rotors.
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)

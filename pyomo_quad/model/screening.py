@@ -42,9 +42,11 @@ class Finding:
     Attributes
     ----------
     severity : Severity
-        Whether the finding rules out the flight.
+        Whether no flight is possible, numbers contradict physics, or the user should check a
+        declaration.
     subject : str
-        Dotted field of the scenario, or full name of the component.
+        What the finding is about: the dotted path of a field of the scenario, or the full name of a
+        component of the model.
     message : str
         One line: field or declaration, value found, allowed range.
     """

@@ -442,9 +442,10 @@ def _shapes(heights: FloatArray) -> FloatArray:
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic spline in height.
 
-    `shares` are the heights at which the wind was measured, scaled to the range from 0 to 1. The
-    functions are the powers of the scaled height h up to the third and, for each inner knot k of
-    the spline, max(h - k, 0)^3.
+    `shares` are the heights at which the wind was measured, scaled to the range from 0 to 1. Each
+    function of the result takes a scaled height h. The functions are the powers of h from 0 to 3
+    (to 2 for three heights, to 1 for two) and, for each inner knot k of the spline,
+    max(h - k, 0)^3.
     """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]

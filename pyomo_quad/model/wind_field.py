@@ -57,7 +57,9 @@ _PASSING_STEPS = 0.02
 def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
-    Unlike `parameters.positive_part`, it equals max(number, 0) to rounding a few widths from zero.
+    If the magnitude of `number` exceeds a few times `width`, the result equals max(number, 0) to
+    rounding. The smooth maximum of the function `parameters.positive_part` does not: its difference
+    from the exact maximum decreases only slowly with the magnitude.
     """
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
@@ -242,8 +244,9 @@ class ColumnWinds:
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
         Edges of the cells [m].
     low, high : ndarray, shape (2, nx, ny)
-        Lower and upper bounds of the wind along x (first item) and y (second item) that hold at all
-        heights and times in each column [m/s]; infinite in a column that no flight may enter.
+        Lower and upper bounds of the wind in each column [m/s], along x (first item) and y (second
+        item). They hold at all times and at all heights that a flight may enter. In a column that
+        no flight may enter, `low` is inf and `high` is -inf.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """
@@ -337,7 +340,8 @@ def is_wind_known(
     Parameters
     ----------
     scenario : Scenario
-        A wind without field, or with `wind.beyond` "hold", is known everywhere.
+        Scenario of the flight. If its wind is not a wind field, or `wind.beyond` is "hold", the
+        result is true everywhere.
     times : ndarray, shape (n,), or float
         Times in flight [s].
     places : ndarray, shape (n, 3)

@@ -1,7 +1,8 @@
 """The two experiments of Yacef et al. as missions, flown optimally and under adaptive control.
 
-f_r is the efficiency of motor and rotor in their paper, a polynomial of torque and speed that the
-paper does not print; a form recovered from public re-implementations is used.
+One of the power models of these flights divides the shaft power by f_r, the efficiency of motor and
+rotor in the paper of Yacef et al. f_r is a polynomial of torque and speed that the paper does not
+print; a form recovered from public re-implementations is used.
 """
 
 from collections.abc import Mapping
@@ -91,6 +92,7 @@ class BaselineFlight:
     """Simulated flight of an experiment of Yacef et al. under the adaptive controller.
 
     `case` has the settings of the flight: experiment, power model and reference trajectory.
+    `flight` is the simulated flight.
     """
 
     case: BaselineCase
@@ -131,8 +133,8 @@ def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
     The power is computed with the efficiency f_r of motor and rotor of Yacef et al. The report
-    compares this energy with the energy that Yacef et al. print for adaptive control: a flight can
-    exceed it only if its rotors accelerate and brake all the time.
+    compares this energy with the energy that Yacef et al. print for adaptive control. A flight can
+    take more energy than at full speed only if its rotors accelerate and brake all the time.
 
     Parameters
     ----------
@@ -201,8 +203,9 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. Under the efficiency f_r of Yacef et al., a flight may be verified
-        although the solve does not prove that it is optimal.
+        Outcome of planning the flight. Under the efficiency f_r of Yacef et al., the solve may end
+        without convergence, so that the flight is not proven optimal, although a simulation of the
+        planned controls confirms the flight (`flight.is_verified`).
     hover_energy_J : float
         Energy of hovering for the same time under the same power model.
     end_prices : mapping
