@@ -501,13 +501,17 @@ class _Search:
     def proven(self, prices: PlacePrices) -> float:
         """Return a proven lower bound on the energy, for given prices (Lagrange multipliers) [J].
 
-        The bound is the largest rise, from start to goal, of a potential (a function of the
-        horizontal place), plus terms for height and duration. The gradient of the potential is
-        limited by proven lower bounds on the function G: the least value in still air, over all
-        combinations of thrust and airspeed, of the power minus the rates at which momentum,
-        position and kinetic energy change, each times its price. To save time, these lower bounds
-        are computed only near the largest gradients that samples of G allow. The result is minus
-        infinity if even the gradient zero is not allowed in one of the winds of the field.
+        A price is the energy value of one unit of momentum, displacement or kinetic energy. The
+        bound consists of two parts. The first part is the largest possible difference between the
+        values of a potential at goal and start. The potential is a function of the horizontal place
+        [J]. The second part has the values of the height gained and of the duration. The net cost
+        of a motion is its power minus the values of the momentum, the displacement and the kinetic
+        energy that the motion gains per second. The potential may rise only so steeply that no
+        motion has a negative net cost. The allowed gradients follow from proven lower bounds on the
+        net cost in still air, over all combinations of thrust and airspeed. To save time, these
+        lower bounds are computed only near the largest gradients that samples of the net cost
+        allow. The result is minus infinity if even the gradient zero is not allowed in one of the
+        winds of the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)

@@ -751,12 +751,13 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
-    """Raise an error for a rule that calculates with time as a number although times are free.
+    """Raise an error for a rule that uses its time as a number in a model with free times.
 
-    If the solve determines times of the model (free times), the physical times are unknown when the
-    rules of the model are called. A rule may then compare its time with declared times (members of
-    the continuous set), but must not calculate with it as a number. `name` is the name of the
-    component. `error` is the exception that the rule raised, None if it raised none.
+    Free times are times of the model that the solve determines. The physical times are then unknown
+    when the rules of the model are called. Such a rule may compare its time with declared times
+    (members of the continuous set), but it must not calculate with its time. `name` is the name of
+    the component whose rule uses its time as a number. `error` is the exception that this rule
+    raised, None if it raised none.
     """
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
