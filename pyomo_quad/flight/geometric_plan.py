@@ -73,7 +73,7 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 
     Several paths along the route are tried, with different speeds and accelerations. A path that
     keeps the limits is simulated under feedback. The search ends when a simulated flight confirms
-    its plan, or after the second simulation.
+    its plan, or after the third simulation.
 
     Parameters
     ----------

@@ -31,8 +31,6 @@ _SPEED_LIMIT = "limits.speed_limit"
 _ROTOR_LIMIT, _ROTOR_SPEED = "limits.rotor_speed_limit", "rotors.omega"
 # Fraction of the tolerance on a violation above which the path is shifted.
 _SHARE = 0.5
-# Shift relative to the largest excess.
-_MORE = 1.0
 # Time before and after an excess during which the shift is kept [s].
 _AROUND_S = 0.1
 
@@ -88,7 +86,7 @@ def shifts_within_limits(
             for first, after in spans_where(excess > 0.0):
                 worst = first + int(np.argmax(excess[first:after]))
                 if excess[worst] > least:
-                    size = side * _MORE * float(excess[worst])
+                    size = side * float(excess[worst])
                     towards = _slope(limit.name, dynamics.state_names, flown.states[worst])
                     found.append(
                         StateShift(
