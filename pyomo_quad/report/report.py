@@ -315,10 +315,13 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
     Energy above hovering is the energy of the plan less the energy of hovering for the same time.
-    The result is None if the power may depend on the airspeed, because such a power accounts for
-    the energy of a climb: this holds for the package's power model `momentum` and, possibly, for a
-    user's own Pyomo model. The result is also None if the mission releases parcels on the way,
-    because the parcels do not climb to the goal, and if the plan was not verified by simulation.
+    The result is None in all other cases, and also in the following three:
+
+    - The electric power may depend on the airspeed, so that it can account for the energy of a
+      climb. The package's power model `momentum` depends on the airspeed; a user's own Pyomo model
+      may depend on it.
+    - The mission releases parcels on the way, because the parcels do not climb to the goal.
+    - The plan was not verified by simulation.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -351,9 +354,10 @@ def climb_of(scenario: "Scenario") -> tuple[float, float]:
 
 
 def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
-    """Return a text with mean, direction and range of the horizontal wind along a plan.
+    """Return a text that describes the horizontal wind along the trajectory of a plan.
 
-    Empty in calm air.
+    The text states the magnitude and the direction of the mean wind vector, and the least and the
+    greatest wind speed. In calm air the returned text is empty.
 
     Parameters
     ----------
@@ -381,8 +385,11 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
     Returns
     -------
     dict
-        Path length [m], charge used [percent], and the time [minutes] and distance [m] that a full
-        charge would permit.
+        Path length [m] (key `path_m`), charge used [percent] (`battery_percent`), and the time
+        [minutes] (`charge_minutes`) and distance [m] (`charge_m`) that a full charge would permit.
+        If the plan was not verified or the table has no column of the charge, `battery_percent` is
+        None and the dictionary has no keys for time and distance on a full charge. If the plan was
+        not verified, the path length is 0.
     """
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}

@@ -181,7 +181,7 @@ def save_figure(
     files : mapping
         File to write, by format: "png", "svg" or "pdf".
     creator : str, optional
-        Text for the metadata of the files, which names the program that wrote them.
+        Name of the program that writes the files, stored in the metadata of each file.
     """
     with mpl.rc_context(HOUSE_STYLE):
         figure = _drawn(draw)
@@ -332,17 +332,17 @@ def draw_over_time(
 def draw_panels(
     panels: Iterable[Axes], shown: Iterable[Column], flights: Sequence["StyledFlight"]
 ) -> None:
-    """Draw one column of all flights against time in each panel, with the column's title.
+    """Draw several columns of the flights' tables against time, each column in a panel of its own.
 
-    The vertical axis of each panel is at least as long as the smallest range that its column
-    allows, the attribute `smallest_span` of the `Column`.
+    A panel shows the curves of all flights and has the title of its column. The vertical axis of
+    the panel covers at least the range `smallest_span`, which is an attribute of the column.
 
     Parameters
     ----------
     panels : iterable of Axes
         Panels, one for each column.
     shown : iterable of Column
-        Columns to draw.
+        Columns to draw, in the order of the panels.
     flights : sequence of StyledFlight
         Flights to draw.
     """
@@ -427,9 +427,10 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return the flight of a plan, for figures.
+    """Return the planned flight as a `Flight` (table and energy under a name), for figures.
 
-    It is named "best iterate" if the solve failed, because the flight need not be feasible then.
+    The flight is named "best iterate" if the solve failed, because the trajectory of a failed solve
+    need not be feasible. Otherwise the flight is named "optimal".
     """
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 

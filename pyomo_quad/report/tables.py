@@ -369,7 +369,7 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
     Raises
     ------
     ScenarioError
-        If the file is too large or damaged.
+        If the file of the front is too large or damaged.
     """
     import pandas as pd  # noqa: PLC0415  see `write_table`
 

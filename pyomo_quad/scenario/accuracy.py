@@ -47,9 +47,9 @@ class Figures:
         Largest violation of a limit between collocation points, divided by the limit's magnitude
         or by 1, whichever is larger.
     turning : float
-        Largest rate of the yaw angle where the mission keeps the heading [rad/s]. If the heading
-        turns for a moment at a rate of half a degree to a few degrees per second, neither the path
-        nor the energy changes.
+        Largest rate of turn of the heading [rad/s] that is tolerated in a mission that keeps the
+        heading constant. This tolerance may be coarse, because a brief turn at half a degree to a
+        few degrees per second changes neither the path nor the energy.
     intrusion : float
         Intrusion into the clearance of a zone, and excess over floor, ceiling or fence [m]. A
         relative tolerance alone would allow half a metre at a ceiling of 50 m.

@@ -69,8 +69,8 @@ class Ball(NamedTuple):
         """Return the coordinates of places that decide whether the places are in the ball.
 
         A place is in the ball if its distance from the centre, computed from these coordinates
-        only, is at most the radius. They are x, y and z for a sphere, and x and y for a vertical
-        cylinder without ends. An interval (the space between two parallel planes) has a single
+        only, is at most the radius. The returned coordinates are x, y and z for a sphere, and x and
+        y for a vertical cylinder without ends. An interval (the space between two parallel planes) has a single
         coordinate: x, y or z, or the component of the position along the normal of a polygon's
         edge.
 
@@ -103,8 +103,8 @@ class Ball(NamedTuple):
         Returns
         -------
         ndarray, shape (...)
-            Radius of the ball minus the distance of each place from its centre, which is measured
-            in the ball's one to three coordinates.
+            For each place, the radius of the ball minus the distance between the place and the
+            centre of the ball. The distance is measured in the ball's one to three coordinates.
         """
         import numpy as np  # noqa: PLC0415  see `coordinates`
 
@@ -196,9 +196,10 @@ def _edges_of(
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
-    A slab is the space between two parallel vertical planes. It is represented by a `Ball` in one
-    coordinate, measured along the edge's normal. Two parallel edges have the same slab, which is
-    yielded only once. The intersection of all slabs is the polygon.
+    `corners` holds the corners x, y of the polygon in order [m]. A slab is the space between two
+    parallel vertical planes. Each slab is represented by a `Ball` in one coordinate, measured along
+    the edge's normal. Two parallel edges have the same slab, and this slab is yielded only once.
+    The intersection of all slabs is the polygon.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):

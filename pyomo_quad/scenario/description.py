@@ -217,10 +217,10 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return the JSON Schema of a field's alternative notations, by key; empty if it has none.
+    """Return JSON Schemas for the other notations in which a file may give a field.
 
-    A place may be given by latitude and longitude; the direction of a wind may be given as the
-    direction from which the wind blows.
+    There are two such notations. A place may be given by latitude and longitude instead of x, y and
+    z. The direction of a wind may be given as the direction from which the wind blows.
 
     Parameters
     ----------
@@ -228,6 +228,12 @@ def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
         Name of the field.
     field : dict
         JSON Schema of the field.
+
+    Returns
+    -------
+    dict
+        JSON Schema of the value, by the key that the file then uses; empty if the field has no
+        other notation.
     """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
