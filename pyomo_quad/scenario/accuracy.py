@@ -48,8 +48,8 @@ class Figures:
         or by 1, whichever is larger.
     turning : float
         Largest rate of turn of the heading [rad/s] that is tolerated in a mission that keeps the
-        heading constant. This tolerance may be coarse, because a brief turn at half a degree to a
-        few degrees per second changes neither the path nor the energy.
+        heading constant. The levels `quick` and `standard` tolerate a few degrees and half a degree
+        per second, because a brief turn at such a rate changes neither the path nor the energy.
     intrusion : float
         Intrusion into the clearance of a zone, and excess over floor, ceiling or fence [m]. A
         relative tolerance alone would allow half a metre at a ceiling of 50 m.

@@ -70,9 +70,9 @@ class Ball(NamedTuple):
 
         A place is in the ball if its distance from the centre, computed from these coordinates
         only, is at most the radius. The returned coordinates are x, y and z for a sphere, and x and
-        y for a vertical cylinder without ends. An interval (the space between two parallel planes) has a single
-        coordinate: x, y or z, or the component of the position along the normal of a polygon's
-        edge.
+        y for a vertical cylinder without ends. An interval (the space between two parallel planes)
+        has a single coordinate: x, y or z, or the component of the position along the normal of a
+        polygon's edge.
 
         Parameters
         ----------
