@@ -44,15 +44,16 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 class Sound(NamedTuple):
     """Plausible range of a numeric scenario field, and the reason for the range in words.
 
-    A number outside the range is refused, because it is a typing error or has a wrong unit, and
-    might cause overflow.
+    A number outside the range is refused. Such a number is taken for a typing error or a wrong
+    unit, and might cause overflow.
 
     Attributes
     ----------
     low, high : float
         Ends of the range, in the field's unit.
     because : str
-        Reason, for messages and for the table of fields.
+        Reason for the range, for error messages and for the list of all scenario fields in the
+        documentation.
     sign : str
         Bound at 0 that applies in addition to the range: "gt" (greater than 0), "ge" (at least 0)
         or "" (none).
@@ -173,8 +174,8 @@ def quantity(
     description : str
         Meaning of the field, in one line.
     default : object, optional
-        Value if neither scenario nor library gives a value; without a default the field is
-        required.
+        Value if neither the scenario nor the package's library of vehicles, batteries and winds
+        gives a value. Without a default the field is required.
     allowed : str, optional
         Description of the allowed texts, for a field whose texts must match a regular expression.
     example : str, optional
@@ -189,8 +190,8 @@ def quantity(
         is read with the field's default, and new records leave the field out while its value is the
         default.
     initial : object, optional
-        Value that a scenario gets if its file leaves the field out, if this value differs from
-        `default`. Then `default` applies only to stored scenarios (records) without the field.
+        Value for a new scenario whose file leaves the field out, in place of `default`. If
+        `initial` is given, `default` applies only to records (stored scenarios) without the field.
     unit_keys : mapping, optional
         Further keys by which a file may give the field in another unit; each with the factor from
         that unit to `unit`.
@@ -407,14 +408,14 @@ def depth(value: object, allowed: int) -> int:
 
 
 def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Yield path and value of each entry of nested tables that is not itself a table.
+    """Yield the path and the value of each plain value (anything but a table) in nested tables.
 
     Parameters
     ----------
     tree : mapping
-        Nested tables.
+        Nested tables. A list counts as a plain value.
     prefix : tuple, optional
-        Path of the outer table, put before each path.
+        Path of `tree` in a larger scenario, put before each yielded path.
     """
     for key, value in tree.items():
         if isinstance(value, Mapping):

@@ -252,10 +252,12 @@ def _height(
 
 
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
-    """Yield the rings (closed outlines) of each polygon of a GeoJSON feature, the outer one first.
+    """Yield the rings (closed outlines) of each polygon of a GeoJSON feature.
 
-    `feature` is the feature as read from the file, with a polygon or several. If it has another
-    geometry, a ScenarioError is raised, whose message begins with the text `where`.
+    `feature` is the feature as read from the file, with the geometry Polygon or MultiPolygon. For
+    each polygon a list is yielded: the outer ring, then the rings of any holes. If the feature has
+    another geometry, a ScenarioError is raised. `where` is the beginning of the error message: the
+    file and the feature.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

@@ -32,16 +32,16 @@ def load_scenario(
 ) -> Scenario:
     """Read, complete and validate a scenario.
 
-    A value comes from the overrides, else from the scenario file, else from the library, else from
-    the defaults.
+    The value of a field comes from the overrides, else from the scenario file, else from the
+    package's library of vehicles, batteries and winds, else from the field's default.
 
     Parameters
     ----------
     path : str, Path or mapping
         A scenario file (TOML), or nested mappings with the same content.
     overrides : sequence of str or mapping, optional
-        Changed fields: texts ``PATH=VALUE`` with a TOML value, as the option `--set` takes them, or
-        a mapping of dotted path to value.
+        Changed fields: texts ``PATH=VALUE`` with a TOML value, as for the command-line option
+        `--set`, or a mapping from dotted path to value.
 
     Returns
     -------
@@ -128,9 +128,15 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     Parameters
     ----------
     scenario : Scenario
-        Scenario to change.
+        Scenario to copy; the object itself is not changed.
     overrides : sequence of str
-        Texts ``PATH=VALUE`` with a TOML value, as the option `--set` takes them.
+        Changed fields, as texts ``PATH=VALUE``: the dotted path of a field and its new value in
+        TOML, as for the command-line option `--set`.
+
+    Returns
+    -------
+    Scenario
+        The changed copy; `scenario` itself if there are no overrides.
 
     Raises
     ------

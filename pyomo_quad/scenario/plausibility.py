@@ -39,7 +39,8 @@ class Contradiction:
     Attributes
     ----------
     field : str
-        Field of the vehicle whose value contradicts the values of other fields.
+        Dotted path of the field whose value contradicts other values of the vehicle, such as
+        ``vehicle.Iz``.
     message : str
         Message for the user, one line.
     """
@@ -168,9 +169,9 @@ def _motor_constants(motor: MotorConstants) -> str:
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
     """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
-    By its model, a motor whose torque constant times voltage constant exceeds 1 creates power. The
-    motor's copper loss grows with the speed, and exceeds the created power above the returned
-    speed.
+    A motor whose torque constant times voltage constant exceeds 1 creates power in the motor model.
+    The copper loss of the motor grows faster with the speed than the created power. Above the
+    returned speed the copper loss exceeds the created power.
 
     Parameters
     ----------
@@ -203,11 +204,14 @@ class _Hover:
     Attributes
     ----------
     start : str
-        Text with which a message begins; it states the shaft power.
+        Beginning of an error message or remark about the power of hover. The text states the drag
+        torque coefficient of the rotors and the shaft power.
     shaft_W, ideal_W : float
         Power at the shafts of all rotors, and power of ideal rotors of the same disc area [W].
     radius : str
-        Rotor radius and its origin, in words.
+        Text with the rotor radius [m]. The text also says whether the vehicle's field
+        `rotor_radius` gives the radius, or the radius is the largest at which the rotors do not
+        overlap.
     """
 
     start: str
@@ -217,12 +221,12 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return the shaft power and the ideal power of a vehicle in hover.
+    """Return the shaft power and the ideal power of a vehicle in hover, with texts for messages.
 
-    `power` is the table of the power model, which also gives the air density, and `gravity` the
-    acceleration of gravity [m/s²]. The result is None for the power model `momentum`, which does
-    not compute the power from the rotors' drag torque, and for coaxial rotors, whose disc area is
-    not known.
+    `power` is the scenario's table with the power model and the air density, and `gravity` is the
+    acceleration of gravity [m/s²]. The result is None for the power model `momentum`, because this
+    model does not compute the power from the drag torque of the rotors. The result is also None for
+    coaxial rotors without a given radius, because their disc area is not known.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors

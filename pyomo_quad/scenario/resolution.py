@@ -1,7 +1,8 @@
 """Completion of a scenario's tables from defaults, library, data files and overrides.
 
-The origin of each value is recorded. TOML documents may come from untrusted sources. They are
-therefore read as data only, and are bounded in size and depth.
+The library is the package's collection of vehicles, batteries and winds. Overrides are values that
+replace values of the scenario file. The origin of each value is recorded. TOML documents may come
+from untrusted sources. They are therefore read as data only, and are bounded in size and depth.
 """
 
 import re
