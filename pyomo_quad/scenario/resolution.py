@@ -325,7 +325,13 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     name : str
         Name of the file.
     folder : Path
-        Folder to which the name refers.
+        Folder to which the name of the file refers.
+
+    Returns
+    -------
+    LibraryEntry
+        Entry with the values and sources of the file. Its attribute `base` is the library entry
+        that the key `use` names, or None without this key.
 
     Raises
     ------
@@ -371,8 +377,9 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
     """Yield an error message for each number of a library file that is not written as allowed.
 
-    A number stands alone, or as a table with the keys `value` and `source` only. The path `place`
-    of the table begins the field names in the messages.
+    Allowed are a number alone, and a table that has no other keys than `value` and `source` and
+    stands for one number. `table` is the part of the file to check, with all tables nested in it.
+    `place` is the path of `table` in the file; the messages name each key by its path in the file.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -425,7 +432,7 @@ class ScenarioSource:
     document : mapping
         The scenario's own tables, before values of the library and overrides are added.
     assignments : mapping
-        Overridden values by path, in order.
+        New value of each overridden field, by path, in the order in which the overrides were given.
     label : str
         Name of the overrides in messages and as an origin of values, such as ``--set``.
     is_resolved : bool
@@ -470,7 +477,7 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     origin : ScenarioSource
         The scenario as written.
     model : type of BaseModel
-        Model of the scenario.
+        Pydantic class of the scenario, which declares the initial values of the fields.
 
     Returns
     -------

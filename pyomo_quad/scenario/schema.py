@@ -376,8 +376,9 @@ class Scenario(Part):
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Physical contradictions between the vehicle's numbers.
 
-        There are none if the scenario names its own Python model builder, because that model may
-        use other numbers.
+        A scenario may name a Python function of the user (field `model`) that builds the equations
+        of motion and of power. The result is then empty, because the equations of this function may
+        use other numbers than those of the scenario.
         """
         if self.model is not None:
             return ()
@@ -387,8 +388,9 @@ class Scenario(Part):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on numbers of the vehicle that are physically possible but unusually good.
 
-        There are none if the scenario names its own Python model builder, because that model may
-        use other numbers.
+        A scenario may name a Python function of the user (field `model`) that builds the equations
+        of motion and of power. The result is then empty, because the equations of this function may
+        use other numbers than those of the scenario.
         """
         if self.model is not None:
             return ()
@@ -543,12 +545,13 @@ def _in_declared_units(
     origin : ScenarioSource
         The scenario as written: tables and overrides.
     model : type of BaseModel
-        Model of the scenario, which declares the fields and their units.
+        Pydantic class of the scenario, which declares the fields and the keys for other units.
 
     Returns
     -------
     tuple of (ScenarioSource, Rewritten)
-        The scenario with declared fields in SI units only, and a list of the conversions.
+        The scenario with the converted tables and overrides; and a record of the conversions and
+        their errors, whose attribute `tables` is empty.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

@@ -1,10 +1,11 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-notation | field
-`wind.from = 270`: direction from which the wind blows, deg clockwise from north | `wind.direction`
-`{ latitude, longitude, altitude }` of a place, with `mission.origin` | `[x, y, z]`
-
-A wind from the west, 270 degrees, blows toward +x, which is east.
+Two notations are converted. The key `from` of a wind, such as `wind.from = 270`, gives the
+direction from which the wind blows, in degrees clockwise from north. The key becomes the field
+`wind.direction`, the direction toward which the wind blows, in radians counter-clockwise from +x
+(east). A wind from the west, 270 degrees, blows toward +x. A place on earth,
+`{ latitude, longitude, altitude }`, becomes the position `[x, y, z]` in metres. For this
+conversion, the field `mission.origin` gives the latitude, longitude and altitude of x = y = z = 0.
 """
 
 from collections.abc import Iterator, Mapping
@@ -49,7 +50,8 @@ def in_plain_terms(
     own : mapping
         Tables that the user wrote in the scenario and its overrides.
     provenance : dict
-        Origin of each value by dotted path; the function adds entries for converted fields.
+        Origin of each value by dotted path. The function adds the origins of converted fields, and
+        removes those of the keys `from`.
     source : str
         Beginning of error messages: the name of the scenario.
 
@@ -62,7 +64,8 @@ def in_plain_terms(
     Raises
     ------
     ScenarioError
-        If a field is given in both notations, or an angle or a place is not valid; one line.
+        If a field is given in both notations, or if an angle or a place is not valid. The message
+        of the error is a single line.
     """
     found = list(_in_other_notation(tables, ()))
     is_on_earth = any(isinstance(value, Mapping) for _, value in found)
@@ -84,10 +87,11 @@ def in_plain_terms(
 
 
 def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield path and value of each field in nested tables that has an alternative notation.
+    """Yield path and value of each field that nested tables state in an alternative notation.
 
-    Alternative notations are latitude and longitude of a place, and the key `from` of a wind.
-    `tree` is the outermost table, and `path` its own path, which begins every yielded path.
+    Alternative notations are a place by latitude and longitude, and a wind direction by the key
+    `from`. `tree` is the table or list to search, with everything nested in it. `path` is the path
+    of `tree` in the scenario; every yielded path begins with it.
     """
     items: Any = ()
     if isinstance(tree, Mapping):
@@ -123,7 +127,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
     Raises
     ------
     ScenarioError
-        If the position is not valid; one line.
+        If the position is not valid. The message of the error is a single line.
     """
     written = value_at(tables, *_ORIGIN)
     if written is None:

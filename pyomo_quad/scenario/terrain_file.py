@@ -58,13 +58,15 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     Returns
     -------
     dict
-        Fields of the scenario's table `airspace.ground`: the grid points `x` and `y` in metres from
-        the origin, and the `heights` in metres above z = 0, packed into a text.
+        Fields of the scenario's table `airspace.ground`: the coordinates `x` and `y` of the grid
+        points [m], and the `heights` of the ground above z = 0 [m], encoded as text by `packed`
+        (compressed, in base 64).
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, is not a rectilinear grid, or lacks a height; one line.
+        If the file cannot be read, has no rectilinear grid, lacks a height, or has too many heights
+        or an implausible one. The message of the error is a single line.
     """
     read = read_gridded(file, place, _HEIGHT)
     field = in_metres(read, origin, place)

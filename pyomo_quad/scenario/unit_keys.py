@@ -21,7 +21,7 @@ class Rewritten:
     Attributes
     ----------
     tables : dict
-        Tables that contain declared fields only, in SI units.
+        Tables in which the field in SI units replaces each key for another unit.
     spellings : dict
         Key and value as in the file, by the path of the converted field, for error messages.
     complaints : list of str
@@ -46,12 +46,13 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
     tables : mapping
         Tables as read from a file.
     model : type of BaseModel
-        Model that declares the fields, and the keys for other units.
+        Pydantic class that declares the fields, and the keys for other units.
 
     Returns
     -------
     Rewritten
-        Tables with declared fields only, and a list of the conversions.
+        Tables in which the field in SI units replaces each key for another unit, with a record of
+        the conversions and the errors found.
     """
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
@@ -69,12 +70,13 @@ def paths_in_declared_units(
         New value of each overridden field, by path; a key such as `roll_max_deg` at the end of the
         path states another unit.
     model : type of BaseModel
-        Model that declares the fields, and the keys for other units.
+        Pydantic class that declares the fields, and the keys for other units.
 
     Returns
     -------
     tuple of (dict, Rewritten)
-        The overrides by the path of the declared field, and a list of the conversions.
+        The new values in SI units, by the path of the field; and a record of the conversions and
+        the errors found, whose attribute `tables` is empty.
     """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():
