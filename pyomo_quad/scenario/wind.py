@@ -1,7 +1,8 @@
 """Tables `wind` and `air` of a scenario: wind velocity, its effect, and air density.
 
 The wind is a formula of time, a measured series, or a field over places. The air density follows
-from height and temperature; the vehicle's aerodynamic coefficients are proportional to it.
+from height and temperature. The vehicle's aerodynamic coefficients are proportional to the air
+density.
 """
 
 from collections.abc import Iterator, Mapping
@@ -184,7 +185,7 @@ class Turbulence(Part):
 
     @property
     def strength(self) -> float:
-        """Wind at 6 m above the ground [m/s], which determines the intensity of the turbulence."""
+        """Wind speed 6 m above ground [m/s], which determines the intensity of the turbulence."""
         return WIND_AT_6_M[self.intensity] if self.intensity else self.wind_at_6_m or 0.0
 
 
@@ -546,7 +547,8 @@ def with_coupling(
     Parameters
     ----------
     tables : dict
-        Tables of the scenario with values of the library.
+        Tables of the scenario. They also hold the values that the scenario takes from the package's
+        library, for example from a library vehicle that the scenario names.
     own : mapping
         Tables that the user wrote in the scenario and its overrides.
     provenance : dict

@@ -59,7 +59,8 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     dict
         Fields of the scenario's table `wind.grid`: the grid points along each axis (`x`, `y` and,
         if the file has them, `z` and `times`), in metres from the origin and in seconds, and the
-        wind velocities `speeds` at the grid points [m/s], packed into a text.
+        wind velocities `speeds` at the grid points [m/s]. The array of velocities is compressed and
+        encoded as base64 text.
 
     Raises
     ------

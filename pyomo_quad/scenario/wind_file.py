@@ -86,7 +86,8 @@ def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[floa
     columns : mapping
         Columns of the wind file, by name.
     place : str
-        Beginning of error messages: the field and the file.
+        Beginning of error messages: the scenario field that names the wind file, and the name of
+        the file.
     """
     every = columns[HEIGHT_COLUMN]
     times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
@@ -136,12 +137,13 @@ def check_cover(
     start : float
         Time in the measured wind [s] at which the mission starts.
     field : str
-        Dotted path of the field that sets the mission's duration or its upper limit, for the error
-        message.
+        Dotted path of the scenario field that sets the mission's duration or the upper limit on a
+        free duration. The error message suggests a smaller value of this field.
     duration : float
         Longest duration of the mission [s].
     place : str
-        Beginning of the error message: the field and the file.
+        Beginning of the error message: the scenario field that names the wind file, and the name of
+        the file.
     """
     if times[0] > start or times[-1] - start < duration:
         refuse(

@@ -432,12 +432,16 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
+    The mission of Yacef et al. is changed: it gets RotorPy's vehicle, exact attitude kinematics,
+    another goal and duration, the shaft power as its power model, and another solver tolerance.
+    All other settings are kept.
+
     Parameters
     ----------
     paper : Scenario
-        Mission of Yacef et al., whose other settings are kept.
+        Mission of Yacef et al.
     name : str
-        Name of RotorPy's parameter set.
+        Name of RotorPy's parameter set with the values of the vehicle.
     """
     said = {
         path.replace("fields.", "vehicle.", 1): value
@@ -503,10 +507,10 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    From the acceleration of the given path, the aerodynamic force divided by the mass is
-    subtracted, so that a controller which follows the path compensates this force. `path` is the
-    reference position, velocity and acceleration as a function of time, and `plant` the vehicle
-    whose equations give the force.
+    The returned path has the positions and velocities of the given path `path`. Its accelerations
+    are those of `path` minus (aerodynamic force / mass). A controller that follows the returned
+    path thus compensates the aerodynamic force. `path` is the reference position, velocity and
+    acceleration as a function of time. `plant` is the vehicle whose equations give the force.
     """
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]

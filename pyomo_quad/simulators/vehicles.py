@@ -22,7 +22,7 @@ NAMES = tuple(_ROTORS)
 
 
 class Said(NamedTuple):
-    """Value of a vehicle's field in SI units, with its source in words."""
+    """Value of one field of a vehicle file in SI units, and the source of this value in words."""
 
     value: float | str | list[float]
     source: str

@@ -178,7 +178,8 @@ def _with_longest_wait(
     Returns
     -------
     Scenario
-        The mission, with the passing times and the duration of this flight.
+        The mission, with the times at which this flight passes the waypoints, and with the duration
+        of this flight.
     Dynamics
         Dynamics of the vehicle in this scenario.
     """

@@ -1,10 +1,11 @@
-"""Campaign: repeated missions on one battery charge until no further flight is possible.
+"""Campaign: missions repeated on each battery charge until no further flight is possible.
 
-Each flight is planned with the state of charge, the relaxation voltage and the temperature at which
-the flight before it ended, with a warm start from the previous plan of the same mission.  The
-flights on one charge end before the first flight that has no plan. A flight has no plan if it would
-leave less charge than the reserve, or if the voltage would fall below its limit.  The battery
-neither rests between two flights nor ages.
+A campaign uses one or more battery charges. On one charge, each flight is planned with the state
+of charge, the relaxation voltage and the temperature at which the flight before it ended. The solve
+has a warm start from the previous plan of the same mission.  The flights on one charge end before
+the first flight that has no plan. A flight has no plan if it would leave less charge than the
+reserve, or if the voltage would fall below its limit.  The battery neither rests between two
+flights on one charge nor ages.
 """
 
 from collections.abc import Iterator, Sequence

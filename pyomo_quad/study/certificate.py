@@ -144,8 +144,10 @@ class ThrustMoments:
 
         Notes
         -----
-        The mission fixes two weighted integrals of the thrust, `demanded`. For any multipliers x of
-        these integrals, x . demanded is the integral of price(x) . thrust over the flight. If the
+        The mission fixes the values of two weighted integrals of the thrust, the attribute
+        `demanded`. For any multipliers x of these integrals, the price vector price(x) at a time is
+        the sum of the multipliers, each times the weight of its integral at this time (method
+        `price`). Then x . demanded is the integral of price(x) . thrust over the flight. If the
         thrust never exceeds u, then x . demanded <= u * (integral of |price(x)|). Among the
         multipliers with x . demanded = 1, those with the least integral of |price(x)| give the
         largest lower bound on u. A thrust that attains this bound has the constant length u and the
