@@ -523,11 +523,12 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
-    The bound follows from the least power over all combinations (pairs) of thrust and airspeed; the
-    module `study.pairs` computes it. In some missions with a wind field there is a second bound,
-    which takes account of the places at which the winds blow (`_bound_of_places`); the larger of
-    the two is returned. `scenario` is the mission, `planner` holds the compiled equations, and
-    `demand` is the thrust that the momentum balance requires for a motion.
+    The bound follows from the least power over all combinations (pairs) of thrust and airspeed. The
+    module `study.pairs` computes this bound. In some missions with a wind field there is a second
+    lower bound, computed by the function `_bound_of_places`: this second bound takes account of the
+    places at which the winds blow. The larger of the two bounds is returned. `scenario` is the
+    mission, `planner` holds the compiled equations, and `demand` is the thrust that the momentum
+    balance requires for a motion.
 
     Returns
     -------
@@ -650,9 +651,10 @@ def _has_places(
     """Return whether the lower bound that takes account of where each wind blows applies.
 
     The function `_bound_of_places` computes this lower bound on the energy of a mission in a wind
-    field. The bound applies if the mission has a single leg with exact start and goal, if a flight
-    may not leave the field, and if the winds of the field are horizontal and not all the same. A
-    flight may leave the field if the scenario's `wind.beyond` is "hold".
+    field. The bound applies if all of the following are true: the mission has a single leg with
+    exact start and goal; a flight may not leave the field; the winds of the field are horizontal
+    and not all the same; and the thrust `standing` is vertical. A flight may leave the field if the
+    scenario's `wind.beyond` is "hold".
 
     Parameters
     ----------
@@ -661,7 +663,7 @@ def _has_places(
     legs : sequence of Leg
         Legs of the mission: the flights from one place (start, waypoint or goal) to the next.
     standing : ndarray, shape (3,)
-        Thrust that holds the vehicle still in still air [N]; it must be vertical.
+        Thrust that holds the vehicle still in still air [N].
     winds : ndarray, shape (n_winds, 3)
         Corners of the polyhedron of all winds of the field [m/s].
     """

@@ -62,9 +62,10 @@ def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame
     Returns
     -------
     DataFrame
-        One row for each time. The columns `ERROR_WITH` and `ERROR_WITHOUT` hold the distance of the
-        vehicle from the place that the path has at that time [m], with adaptation and without. The
-        columns `ESTIMATED` and `TRUE`, three each, hold the components of the disturbance
+        One row for each time. Constants of this module hold the names of the columns. The columns
+        named by `ERROR_WITH` and `ERROR_WITHOUT` hold the distance of the vehicle from the place
+        that the path has at that time [m], with adaptation and without. The columns named by
+        `ESTIMATED` and `TRUE`, three each, hold the x, y and z components of the disturbance
         acceleration in the flight with adaptation [m/s^2]: the controller's estimate, and the true
         value.
     """
@@ -448,11 +449,12 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return the columns of a comparison's row that are computed from the flight's table over time.
+    """Return those values of a flight's row in a comparison that follow from its course over time.
 
-    They are the largest power, tilt and rotor acceleration, the time near the goal, and the charge
-    used. `scenario` is the mission with its goal, and `frame` is the flight's table, one row for
-    each time.
+    The result maps the columns of the comparison table to the values: the largest power, tilt and
+    rotor acceleration of the flight, the time near the goal, and the battery charge used.
+    `scenario` is the mission with its goal, and `frame` is the flight's table over time, one row
+    for each time.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -490,10 +492,12 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
-    """Return the values of one variable of the rotors in a flight's table, a column for each rotor.
+    """Return the values of one variable of the rotors over time, from the table of a flight.
 
-    `component` is the variable's name in the model, such as "rotors.omega" for the rotor speeds.
-    There are at least four columns, NaN where a user's model lacks a rotor.
+    `frame` is the flight's table, one row for each time. `component` is the variable's name in the
+    model, such as "rotors.omega" for the rotor speeds. The result has a row for each time and a
+    column for each rotor: at least four columns, filled with NaN where a user's model lacks a
+    rotor.
     """
     shown = [one for one in ALL_COLUMNS if one.component == component]
     return np.column_stack(

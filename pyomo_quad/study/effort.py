@@ -1,10 +1,12 @@
-"""Estimate of the processor time that planning a mission takes, and of its costly features.
+"""Estimate of the processor time that planning a mission takes, and of each feature's part in it.
 
 Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
 number of unknowns: variables per collocation point, times collocation points of the mesh. Several
-meshes, routes round keep-out zones and orders of the waypoints may be solved.  Their numbers are
-known or estimated before the solve.  The constants were measured by
-`python -m tests.benchmarks resolve missions`, whose tables compare estimates with measured times.
+meshes, routes round keep-out zones and orders of the waypoints may be solved.  The numbers of
+meshes, routes and orders are known or estimated before the solve.  The constants of the estimate,
+such as the time per unknown and iteration, were measured by the command
+`python -m tests.benchmarks resolve missions`.  The tables that this command prints compare
+estimates with measured times.
 """
 
 from __future__ import annotations

@@ -87,7 +87,7 @@ class Ensemble(Summarised):
     scenario : Scenario
         The mission, with fixed duration and passing times of waypoints.
     name : str
-        Name of the flights, as in a comparison: "adaptive/plan".
+        Name of the flights: controller and reference trajectory, such as "adaptive/plan".
     seed : int
         Seed of the winds.
     flown : FlownOften
@@ -126,11 +126,12 @@ class Ensemble(Summarised):
 
     @property
     def worst(self) -> dict[str, float]:
-        """Largest violation of each broken limit over all flights, relative to the limit.
+        """Largest violation of each broken limit over all flights.
 
-        The key is the limit in words. The violation is divided by the larger of 1 and the limit.
-        For a missed goal the value is the distance [m] or the speed [m/s] at the end instead, for
-        the battery the missing fraction of power or charge.
+        The key is the limit in words. The value is the violation divided by the larger of 1 and the
+        limit. Two kinds of limits have another value. For the two limits on the arrival, the value
+        is the distance from the goal [m] and the speed [m/s] at the end of the flight. For the
+        battery, the value is the missing fraction of power or charge.
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
@@ -450,7 +451,9 @@ def fly_in_turbulence(
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
     """Return the results of many flights in random winds as values for JSON.
 
-    `savings` are the energy savings of these flights over other flights in the same winds.
+    `flown` are the simulated flights. `savings` are the energy savings of these flights over other
+    flights in the same winds. The return value maps names to values: among others, the share
+    of successes, energies, broken limits, savings, the wall-clock time, and the scenario.
     """
     worst = flown.worst
     return {

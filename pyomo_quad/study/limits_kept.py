@@ -1,7 +1,8 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
-The plan's risk is the share of its flights in turbulence that may break a limit. The sentences also
-say whether this risk covers the limits that a flight breaks.
+The risk of a plan is the allowed share of flights along the plan in turbulence that break a limit.
+The sentences also say whether this risk covers the limits that a flight breaks. A limit counts as
+covered if it is one of those that the planner's test flights in turbulence break most often.
 """
 
 from collections.abc import Iterator, Sequence
