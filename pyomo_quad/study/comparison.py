@@ -449,7 +449,7 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return those values of a flight's row in a comparison that follow from its course over time.
+    """Return the values of a comparison row that are computed from a flight's table over time.
 
     The result maps the columns of the comparison table to the values: the largest power, tilt and
     rotor acceleration of the flight, the time near the goal, and the battery charge used.

@@ -240,10 +240,11 @@ class Itinerary:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
         For given prices (Lagrange multipliers) of velocity at the ends of the legs and given
-        durations of the legs, a sum over the legs bounds the energy from below; the docstring of
-        this module gives the sum. The least value of this sum over the allowed durations is a lower
-        bound for all of them: the dual function, which depends on the prices only. The result is
-        the largest value of the dual function that a search over the prices finds.
+        durations of the legs, a sum over the legs, with a term for the speed limits at waypoints,
+        bounds the energy from below; the docstring of this module gives this sum. The least
+        value of this sum over the allowed durations is a lower bound for all of them: the dual
+        function, which depends on the prices only. The result is the largest value of the dual
+        function that a search over the prices finds.
 
         Parameters
         ----------
