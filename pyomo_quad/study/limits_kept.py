@@ -27,10 +27,12 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
-    The sentence also says whether the plan's risk covers the violation. The risk is the share of
-    the plan's flights in turbulence that may break a limit. It covers a violation if the limit is
-    among those that the planner's test flights in turbulence break most often. If no flight breaks
-    a limit, one sentence says so.
+    Limits are those of the scenario, such as the largest speed. The plan's risk is the share of the
+    plan's flights in turbulence that the scenario permits to break limits. Each sentence names the
+    limits that its flight breaks, and says whether the risk covers them. The risk covers a broken
+    limit if this limit is among the three that the planner's test flights of the plan in turbulence
+    break most often. The risk applies only to flights under feedback that use the plan or its
+    forecast. If no flight breaks a limit, the only sentence says so.
 
     Parameters
     ----------

@@ -37,17 +37,18 @@ equations give the thrust; with the power model `momentum` it is the induced vel
 the model's balance of thrust and induced velocity gives rotor speed and thrust.
 
 The least H is bounded from below by branch and bound. A box is a range of the three numbers; the
-compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until H
-is proven to be nowhere in it smaller, by more than a tolerance, than the smallest H found so far.
+compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until
+its lower bound on H is at least the smallest value of H found so far, less a tolerance.
 
 With the power model `momentum`, the profile power of one rotor with the thrust t is
 c t^1.5 + k t^0.5 with coefficients c and k (k is written m in docs/theory/bound.md, eq. (17)); k is
 zero in still air. If c t >= k, rotors with unequal thrusts take no less power in all than rotors
 with equal thrusts t.  If c t < k, at high airspeed and low thrust, they may take less, but no less
-than the convex envelope of the profile power. The envelope is there the tangent through zero
-thrust, and lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
+than the convex envelope of the profile power. For c t < k this envelope is the tangent to the
+profile power that passes through the origin (no thrust, no power), and lies
+(c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
 
-The mass may change at a waypoint: p and eta times the mass are the same on all legs.
+The mass may change at a waypoint. The products m p and m eta are the same on all legs.
 """
 
 from __future__ import annotations
@@ -269,13 +270,15 @@ class Pairs:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
         The search over pairs of thrust and airspeed covers airspeeds up to this limit. The limit is
-        the smaller of two speeds. The first is the speed limit in `scenario` plus the speed of the
-        strongest wind. The second is the airspeed at which the drag equals the largest thrust plus
-        the length of `standing`, the thrust that holds the vehicle still; no vehicle accelerates
-        beyond this airspeed. If the wind differs from place to place, the second speed is larger
-        than this airspeed by at least twice the greatest difference between a wind and the middle
-        of the range of winds. The result is infinite if the scenario has no speed limit and the
-        drag never becomes so large. Implements docs/theory/bound.md, eq. (22).
+        the smaller of two speeds. The first speed is the speed limit in `scenario` plus the speed
+        of the strongest wind. The second speed follows from the drag. Let A be the airspeed at
+        which the drag equals the largest thrust plus the length of the attribute `standing`, the
+        thrust that holds the vehicle still. In a steady wind the vehicle cannot accelerate at
+        airspeeds above A; the second speed is then the greater of A and the speed of the wind,
+        which is the airspeed at rest. If the wind differs from place to place, the second speed is
+        at least A plus twice the greatest difference between a wind and the middle of the range of
+        winds. The result is infinite if the scenario has no speed limit and the drag never becomes
+        so large. Implements docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -311,11 +314,11 @@ class Pairs:
         momentum, position and kinetic energy of the vehicle, each times its price. A price is the
         Lagrange multiplier of the total change, which the mission fixes. `prices` are p (of
         momentum), w (of displacement) and eta (of kinetic energy). `mass` is the mass as a fraction
-        of the mass at the start, and s, `standing` times `mass`, is the thrust that holds the
-        vehicle still. The numbers are, in order: the length of p; the component of w - eta s along
-        p; the length of the component of w - eta s across p; and eta. The terms of H that are the
-        same for all pairs are left out: they do not follow from these numbers. See
-        docs/theory/bound.md, eq. (16).
+        of the mass at the start. The thrust that holds the vehicle still, s, is the attribute
+        `standing`, which is this thrust at the start, times `mass`. The numbers are, in order: the
+        length of p; the component of w - eta s along p; the length of the component of w - eta s
+        across p; and eta. The terms of H that are the same for all pairs are left out: they do not
+        follow from these numbers. See docs/theory/bound.md, eq. (16).
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -674,7 +677,9 @@ def _halved(
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
     """Return the wind at n given times in world axes [m/s], shape (n, 3).
 
-    The times are in seconds; a component that the model lacks is zero.
+    `dynamics` are the dynamics of the vehicle, with the model of the wind. The wind is evaluated at
+    states and controls that are all zero. `times` has the n times [s]. If the model has no vertical
+    wind, or no wind at all, the missing components are zero.
     """
     names = ("velocity_x", "velocity_y", "velocity_z")
     keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
@@ -694,10 +699,11 @@ def bound_of_pairs(
     pair is a combination of thrust and airspeed. The mission fixes by how much a flight changes
     momentum, position and kinetic energy of the vehicle. Any Lagrange multipliers of these
     conditions give a lower bound on the energy; the multipliers with the largest bound are the
-    solution of a linear program with one constraint for each pair. They are searched for by cutting
-    planes (Kelley, 1960): the program is solved with the pairs found so far, then those pairs are
-    added that limit the bound most near this solution. Finally the bound is proven over all pairs
-    for the best multipliers found.
+    solution of a linear program with one constraint for each pair. The multipliers are searched for
+    by cutting planes (Kelley, 1960). In each round the program is solved with the pairs found so
+    far. Trial multipliers are taken half way between the best multipliers so far and this solution.
+    The pairs that limit the bound most for the trial multipliers are found and added to the
+    program. After the last round the bound for the best multipliers is proven over all pairs.
 
     Parameters
     ----------

@@ -23,15 +23,16 @@ o, eta | price of momentum [W/N] in still air, and of kinetic energy, equal at a
 W | wind
 a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
-h | lower bound on the power less the terms of the prices and of the potential [W]
+h | price of time [W]: P is at least h plus the terms of the prices and of the potential
 
 A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W.  G is a concave function of a
 and q together.  Therefore linear interpolation between proven values of G gives lower bounds on G,
 and the allowed gradients in a wind form a convex set.  An inscribed polygon represents this set;
-its corners lie in equally spaced directions, of which the first is the direction of a.  The
-condition is concave in W too.  A gradient that is allowed at all corners of a rectangle of winds is
-therefore allowed in all winds of the rectangle, which contains the winds of a cell.  The largest
-rise of a potential with allowed gradients is the optimal value of a linear program.
+its corners lie in equally spaced directions, of which the first is the direction of a.  For a given
+q, the difference G(o + eta W, q) - h - q . W is a concave function of W too.  Let a rectangle
+contain all winds of a cell. A gradient that is allowed in the winds at the corners of this
+rectangle is therefore allowed in all winds of the cell.  The largest rise of a potential with
+allowed gradients is the optimal value of a linear program.
 """
 
 from __future__ import annotations
@@ -101,13 +102,15 @@ class PlacePrices:
 
     @classmethod
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
-        """Make the prices that are equal at all places of a field from prices for some winds.
+        """Convert the prices of `study.pairs` into prices for the bound by a potential.
 
         Prices are the Lagrange multipliers of the changes of momentum, position and kinetic energy
         over a flight. `prices` are multipliers that `study.pairs` found for a range of winds. The
         wind in the middle of this range is `middle`, shape (3,) [m/s]. In `prices` the kinetic
-        energy is that of the motion relative to air of the velocity `middle`, in the result that of
-        the motion over ground; the price of momentum is converted accordingly.
+        energy is that of the motion relative to air of the velocity `middle`. In the result the
+        kinetic energy is that of the motion over ground, and the price of momentum is converted
+        accordingly. The price of horizontal displacement is dropped, because the gradient of the
+        potential takes its place. The price of time (attribute `power`) is zero.
         """
         return cls(
             offset=prices.momentum - prices.motion * middle,
@@ -123,7 +126,7 @@ class PlacePrices:
     ) -> GradientTable:
         """Tabulate the function G over prices of momentum and gradients of a potential.
 
-        G is the least value in still air, over all combinations of thrust and airspeed, of the
+        A potential is a function of the horizontal place. G is the least value in still air, over all combinations of thrust and airspeed, of the
         power minus the rates at which momentum, position and kinetic energy change, each times its
         price (Lagrange multiplier). The gradient of the potential is the price of horizontal
         displacement. The vertical prices of momentum and displacement and the price of kinetic
@@ -170,11 +173,11 @@ class PlacePrices:
 class GradientTable:
     """Table of the function G over prices of momentum and gradients of a potential.
 
-    G is the least value in still air, over all combinations of thrust and airspeed, of the power
+    A potential is a function of the horizontal place. G is the least value in still air, over all combinations of thrust and airspeed, of the power
     minus the rates at which momentum, position and kinetic energy change, each times its price
-    (Lagrange multiplier). The gradient of the potential is the price of horizontal displacement. A
-    lower bound on the energy of flights may use only potentials with a limited gradient;
-    `gradients` computes these limits from G.
+    (Lagrange multiplier). The gradient of the potential is the price of horizontal displacement.
+    The rise of a potential from start to goal gives a lower bound on the energy of flights only if
+    its gradient is limited. The method `gradients` computes these limits from G.
 
     Attributes
     ----------
@@ -352,10 +355,12 @@ class Places:
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Corners of polygons that contain the allowed gradients [N]. Each cell of the grid that a
-            flight may enter has four polygons of n corners, one for each corner of the rectangle of
-            winds in the cell (attribute `corners`). The gradient of the potential in the cell must
-            be inside all four polygons.
+            Corners of polygons in the plane of the gradient [N]; the gradients inside a polygon are
+            allowed in one wind. Each cell of the grid that a flight may enter has four polygons of
+            n corners, one for each corner of a rectangle that contains the winds of the cell (the
+            winds of the attribute `corners`). The polygons of the first cell come first, then those
+            of the second cell, and so on. The gradient of the potential in a cell must be inside
+            all four polygons of the cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -461,12 +466,14 @@ class _Search:
 
         The bound is the largest rise, from start to goal, of a potential (a function of the
         horizontal place), plus terms for height and duration. The gradients that the potential may
-        have in each wind follow from `table`, which has values of G. G is a function of the
-        gradient. Its value is the least of a difference, over all combinations of thrust and
-        airspeed in still air: the power, minus the rates of change of momentum, position and
-        kinetic energy, each times its price (Lagrange multiplier). `prices` are the prices that are
-        equal at all places. The result is minus infinity if even the gradient
-        zero is not allowed in one of the winds of the field.
+        have in each wind follow from `table`, which has values of G. G is the least value in still
+        air, over all combinations of thrust and airspeed, of the power minus the rates at which
+        momentum, position and kinetic energy of the vehicle change, each times its price (Lagrange
+        multiplier). The gradient of the potential is the price of horizontal displacement. `prices`
+        are the other prices, which are equal at all places of the field; `table` was computed with
+        them, except for the price of time (attribute `power`). The bound is proven if the values in
+        `table` are proven lower bounds on G, and approximate if they are sampled. The result is
+        minus infinity if even the gradient zero is not allowed in one of the winds of the field.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -501,17 +508,18 @@ class _Search:
     def proven(self, prices: PlacePrices) -> float:
         """Return a proven lower bound on the energy, for given prices (Lagrange multipliers) [J].
 
-        A price is the energy value of one unit of momentum, displacement or kinetic energy. The
-        bound consists of two parts. The first part is the largest possible difference between the
-        values of a potential at goal and start. The potential is a function of the horizontal place
-        [J]. The second part has the values of the height gained and of the duration. The net cost
-        of a motion is its power minus the values of the momentum, the displacement and the kinetic
-        energy that the motion gains per second. The potential may rise only so steeply that no
-        motion has a negative net cost. The allowed gradients follow from proven lower bounds on the
-        net cost in still air, over all combinations of thrust and airspeed. To save time, these
-        lower bounds are computed only near the largest gradients that samples of the net cost
-        allow. The result is minus infinity if even the gradient zero is not allowed in one of the
-        winds of the field.
+        The bound is the sum of three terms: the largest rise of a potential from start to goal, the
+        price of height times the difference in height, and the price of time times the duration. A
+        potential is a function of the horizontal place [J]; its gradient is the price of horizontal
+        displacement. `prices` are the other prices: those of momentum, kinetic energy, height and
+        time, which are equal at all places.
+
+        The gradients that the potential may have in each wind follow from proven lower bounds on
+        the function G. G is the least value in still air, over all combinations of thrust and
+        airspeed, of the power minus the rates at which momentum, position and kinetic energy of the
+        vehicle change, each times its price. To save time, the lower bounds are computed only for
+        the gradient zero and near the largest gradients that sampled values of G allow. The result
+        is minus infinity if even the gradient zero is not allowed in one of the winds of the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)

@@ -63,12 +63,13 @@ class CaseTask:
     Attributes
     ----------
     position : int
-        Row number of the case, from 0.
+        Row number of the case in the sweep's result table, from 0.
     key : str
-        Identifier of the case: hash of its field values.
+        Identifier of the case: hash of its values of the scenario fields that vary.
     solver : str
-        Case solver as ``module:function``. The program chooses it, never an input file, so that
-        no study file can run code of its own.
+        Name, as ``module:function``, of the case solver: the function that takes this object and
+        returns a `CaseResult`. The program chooses the case solver. An input file cannot choose it,
+        so that no study file can run code of its own.
     scenario : str
         The case's complete scenario as JSON text.
     base : str
@@ -159,10 +160,12 @@ class CaseOutcome:
         """Make the row of a sweep's case from the result that the case solver returned.
 
         `task` is the input of the case, and `result` holds its output values, its solution and the
-        reason of a failure. Values that are not finite or exceed `LARGEST_OUTPUT` are dropped,
-        because JSON has no NaN. If the result holds no warm start, for example after a failure, the
-        row holds the warm start that the case received, so that the children of the case, which are
-        solved after it, have an initial guess, too.
+        reason of a failure. Output values that are not finite are dropped, because JSON has no NaN.
+        Output values whose size exceeds the constant `LARGEST_OUTPUT` are dropped, too, because
+        sums and squares of larger numbers may overflow. A warm start is a packed initial guess. If
+        the result holds no warm start, for example after a failure, the row holds the warm start
+        that the case received. The children of the case, which are solved after the case, then have
+        an initial guess, too.
         """
         # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
@@ -465,8 +468,8 @@ def unpack(packed: bytes) -> WarmStart | None:
 def solve_case(task: CaseTask) -> CaseResult:
     """Solve one case of a sweep: plan its flight, or fly the base case's plan in its scenario.
 
-    The case solver of all shipped sweeps. The planner is kept from case to case, so that the
-    compiled model is used again.
+    All sweeps that the commands run use this function as their case solver. The function keeps its
+    planner from case to case, so that the compiled model is used again.
 
     Parameters
     ----------
@@ -529,8 +532,9 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 class _Bench:
     """Planner and base case's plan that one worker of a sweep keeps from case to case.
 
-    The planner keeps the compiled model, so that later cases need not compile it again. A thread of
-    the worker must hold `lock` while it uses them.
+    The planner keeps the compiled model, so that later cases need not compile the model again. A
+    thread of the worker must hold the attribute `lock`, a mutex, while the thread uses the planner
+    or the plan.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)

@@ -120,8 +120,9 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
     """Make a figure with `count` panels in two columns; hide an unused last panel.
 
-    `layout` holds further arguments of `panel_grid`, such as the height of a panel. The results are
-    the figure and the array of its panels, shape (rows, columns).
+    A single panel has one column. The function `panel_grid` makes the figure; `layout` holds
+    further arguments for this function, such as the height of a panel. The results are the figure
+    and the array of its panels, shape (rows, columns).
     """
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
