@@ -129,9 +129,10 @@ class PlacePrices:
         A potential is a function of the horizontal place. G is the least value in still air, over
         all combinations of thrust and airspeed, of the power minus the rates at which momentum,
         position and kinetic energy change, each times its price (Lagrange multiplier). The gradient
-        of the potential is the price of horizontal displacement. The vertical prices of momentum and displacement and the price of kinetic
-        energy are those of this object. G then depends on the length of the horizontal part of the
-        price of momentum, the length of the gradient, and the angle between the two.
+        of the potential is the price of horizontal displacement. The vertical prices of momentum
+        and displacement and the price of kinetic energy are those of this object. G then depends on
+        the length of the horizontal part of the price of momentum, the length of the gradient, and
+        the angle between the two.
 
         Parameters
         ----------
@@ -176,8 +177,9 @@ class GradientTable:
     A potential is a function of the horizontal place. G is the least value in still air, over all
     combinations of thrust and airspeed, of the power minus the rates at which momentum, position
     and kinetic energy change, each times its price (Lagrange multiplier). The gradient of the
-    potential is the price of horizontal displacement. The rise of a potential from start to goal gives a lower bound on the energy of flights only if
-    its gradient is limited. The method `gradients` computes these limits from G.
+    potential is the price of horizontal displacement. The rise of a potential from start to goal
+    gives a lower bound on the energy of flights only if its gradient is limited. The method
+    `gradients` computes these limits from G.
 
     Attributes
     ----------
