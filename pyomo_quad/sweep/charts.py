@@ -165,15 +165,17 @@ def _name_best(
 ) -> None:
     """Print a curve's name, best duration and least quantity as a line of text in a panel.
 
-    The best duration is the mission duration at which the quantity is least. The text says "at an
-    edge" unless the cases of the next shorter and of the next longer duration both finished.
+    The curve is drawn for finished cases that differ in the mission duration only. Its name is made
+    of the values of the other fields that vary in the sweep. The best duration is the mission
+    duration at which the quantity is least. The text says "at an edge" unless the cases of the next
+    shorter and of the next longer duration both finished.
 
     Parameters
     ----------
     axes : Axes
-        Panel.
+        Panel in which the text is printed.
     curve : Curve
-        Finished cases of the curve.
+        Finished cases of the curve, at most one for each mission duration.
     quantity : Quantity
         Output column that is drawn.
     tried : sequence of float
@@ -282,7 +284,8 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases, one curve for each combination of the other fields.
+        Finished cases over the wind direction. There is one curve for each combination of values
+        of the other fields that vary in the sweep.
     field : str
         Dotted path of the field with the direction that the wind blows to, in rad.
     quantity : Quantity
@@ -318,7 +321,8 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases over the wind direction, one curve for each combination of the other fields.
+        Finished cases over the wind direction. There is one curve for each combination of values
+        of the other fields that vary in the sweep.
     quantity : Quantity
         Output column.
     """
@@ -352,9 +356,13 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases. Each other bar is the range along one field, with all
-    other fields as in the central case. The values of the field at both ends are printed beside a
-    bar.
+    The first bar is the range over all cases. The row numbers of the cases with the least and the
+    greatest value are printed beside the first bar. Each other bar is the range along one field,
+    with all other fields as in the central case. The values of the field at which the quantity is
+    least and greatest are printed beside this bar. In the central case, each field that varies has
+    the base scenario's value or, if the sweep does not contain this value, the middle of the
+    field's values. Fields with random values have no value in the central case: a bar of another
+    field shows the mean of the quantity over the random draws.
 
     Parameters
     ----------
@@ -406,23 +414,26 @@ def _draw_bar(
 ) -> None:
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
-    The bar is the range of an output quantity as one scenario field varies.
+    The bar is the range of an output quantity, either over all cases of the sweep or as one
+    scenario field varies. The base value is the quantity in the central case. In the central case,
+    each field that varies has the base scenario's value or, if the sweep does not contain this
+    value, the middle of the field's values.
 
     Parameters
     ----------
     axes : Axes
         Panel to draw into.
     row : int
-        Vertical place of the bar.
+        Number of the bar, from 0 at the top; the bar's vertical coordinate.
     ends : tuple of float
-        Least and greatest value of the quantity.
+        Least and greatest value of the quantity, in the unit of its column.
     reached : tuple of str
-        Texts beside the two ends: values of the scenario field at which the quantity is least and
-        greatest.
+        Texts to print at the two ends of the bar: the values of the scenario field at which the
+        quantity is least and greatest, or the cases with these values of the quantity.
     base : float
-        The quantity in the central case; NaN if that case failed.
+        Base value, in the printed unit; NaN if the central case failed.
     quantity : Quantity
-        Output column that is drawn; gives the printed unit.
+        Output column that is drawn; gives the factor to the printed unit.
     """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)

@@ -21,8 +21,9 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 def cluster_workers(address: str) -> Iterator[Workers]:
     """Context manager: connect to a Dask cluster, and run the cases of a sweep on its workers.
 
-    Dask itself moves the cases of a worker that was lost to other workers, and gives a case up
-    after several losses. If the scheduler is lost, the results committed so far remain.
+    If the cluster loses a worker, Dask moves the cases of this worker to the other workers. Dask
+    gives a case up if several workers were lost while they solved this case. If the scheduler is
+    lost, the results that were stored before the loss remain.
 
     Parameters
     ----------
@@ -32,7 +33,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     Yields
     ------
     Workers
-        Workers for `Sweep.run`.
+        Workers of the cluster, the argument of the method `Sweep.run`, which runs the sweep.
 
     Raises
     ------
@@ -78,7 +79,8 @@ class _Threads:
     """Counter of a Dask cluster's worker threads, each of which can solve one case at a time.
 
     `client` is the connection to the cluster, and `address` its address for error messages. The
-    cluster is asked for the number at most once in `WATCH_SECONDS`.
+    cluster is asked for the number of threads at most once in two seconds (the constant
+    `WATCH_SECONDS`). In between, the number that was found last is returned.
     """
 
     def __init__(self, client: "Client", address: str) -> None:

@@ -440,8 +440,8 @@ class Case:
         Value of each field that varies, by its dotted path.
     parent : int or None
         Position of the neighbouring case whose solution is the initial guess of this case. None for
-        the case that is solved first, and for all cases if the task is `FLY_PLAN`, which plans none
-        of them.
+        the case that is solved first. None for all cases if the sweep's task is `FLY_PLAN`, because
+        in this task only the base scenario's flight is planned.
     """
 
     position: int
@@ -461,7 +461,8 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
     Returns
     -------
     tuple of Case
-        Each case with its key and its parent, the case whose solution is its initial guess.
+        The cases. Each case has its key, which is a hash of its field values, and the row number of
+        its parent, which is the neighbouring case whose solution is the initial guess.
     """
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]

@@ -112,12 +112,16 @@ def setting(value: object) -> str:
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return the name of a curve in a chart's legend: the fields that are constant along the curve.
+    """Return a curve's name in a chart's legend: the values of the fields constant along the curve.
+
+    The name lists the fields, separated by commas, such as "mass 1.2 kg". A field with a text as
+    its value is named by this text alone.
 
     Parameters
     ----------
     fixed : mapping
-        Value of each constant field, by its dotted path.
+        Value of each field that is constant along the curve, by its dotted path. If it is empty,
+        the name is "all cases".
     """
     parts = [
         value.replace("_", " ")

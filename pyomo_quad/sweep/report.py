@@ -41,7 +41,8 @@ def write_sweep_report(
     design : SweepDesign
         Specification of the sweep.
     frame : DataFrame
-        Result table with one row for each case that has ended, from `results_frame`.
+        Result table with one row for each case that has ended, as the function `results_frame`
+        reads it from the result store.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
 
@@ -169,8 +170,10 @@ def _sensitivities(
     """Yield the range of each quantity as each scenario field varies, for the report's template.
 
     `results` is the result table of the sweep, and `quantities` are the output columns that the
-    report draws. Each item holds the variables for one quantity. A quantity is left out if fewer
-    than two fields can be compared.
+    report draws. There is one item for each quantity. The item holds the quantity's label and its
+    factor to the printed unit, the name of the sweep's central case, the range of the quantity over
+    all cases, and the ranges of the quantity as each scenario field varies. A quantity is left out
+    if such a range is known for fewer than two fields, which leaves nothing to compare.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)

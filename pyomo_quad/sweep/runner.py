@@ -247,16 +247,20 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        `case` is a case that is now solved. The children of a case are the cases whose solves start
-        from its solution; its descendants are its children, the children of these, and so on. When
-        a case is lost because its worker process died, its children start from the solution of its
-        parent instead. Now that the case is solved, its descendants are solved again, so that all
-        rows equal those of a sweep in which no worker died.
+        `case` is a case that this run has just ended without losing it. The children of a case are
+        the neighbouring cases whose solves start from the solution of this case. The descendants of
+        a case are its children, the children of the children, and so on.
+
+        If the worker process of a case dies, the case is lost, and has no solution. The children of
+        a lost case start from the solution of the lost case's parent instead. As soon as a lost
+        case has ended in a later run, its descendants are solved again. All rows of the result
+        table then equal the rows of a sweep in which no worker died.
 
         Returns
         -------
         list of str
-            Keys of the descendants, whose rows the store deletes.
+            Keys (hashes of the field values) of the descendants. The store deletes the rows with
+            these keys. Empty if no earlier run lost the case.
         """
         if case.key not in self._lost_before:
             return []

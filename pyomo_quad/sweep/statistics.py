@@ -47,11 +47,14 @@ class Sensitivity:
     """Range of an output quantity as one scenario field varies.
 
     The values of a field are either given (listed or spaced) or drawn at random. While one field
-    varies, all other fields with given values are as in the central case of the sweep. If the field
-    that varies has given values and the sweep also has random fields, the quantity is averaged over
-    the draws of the random fields. If the field that varies is random, a linear function of all
-    random fields is fitted to the quantity. The fitted function then replaces the quantity, with
-    the other random fields at their means.
+    varies, all other fields with given values are as in the central case of the sweep. In the
+    central case, each field with given values has the base scenario's value or, if the sweep does
+    not contain this value, the middle of the field's values.
+
+    If the field that varies has given values and the sweep also has random fields, the quantity is
+    averaged over the draws of the random fields. If the field that varies is random, a linear
+    function of all random fields is fitted to the quantity. The fitted function then replaces the
+    quantity, with the other random fields at their means.
 
     Attributes
     ----------
@@ -140,8 +143,9 @@ class Best:
     def is_inside(self) -> bool:
         """Whether the cases at the next smaller and next larger value of the field both finished.
 
-        This shows that the best value is a local minimum. Otherwise the quantity may be smaller at
-        the value next to it or beyond the values that were tried.
+        If both cases finished, the quantity has a local minimum at the best value of the field.
+        Otherwise the quantity may be still smaller at a neighbouring value whose case failed, or
+        beyond the values of the field that the sweep tries.
         """
         return self.is_below_flown and self.is_above_flown
 
@@ -243,6 +247,10 @@ class SweepResults:
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
         """Tabulate a quantity over two dimensions, with the other fields as in the central case.
 
+        In the central case, each field that varies has the base scenario's value or, if the sweep
+        does not contain this value, the middle of the field's values. If the sweep has random
+        fields, the quantity is averaged over their draws.
+
         Parameters
         ----------
         across, up : Dimension
@@ -254,8 +262,8 @@ class SweepResults:
         Returns
         -------
         DataFrame
-            Values of the quantity. The field values of columns and rows ascend; NaN where no case
-            finished.
+            Values of the quantity, NaN where no case finished. The index holds the field values of
+            `up` and the columns hold those of `across`, both in ascending order.
         """
         rows = _matching(self.finished, self.beside(across, up))
         plane = rows.pivot_table(index=up.paths[0], columns=across.paths[0], values=quantity)
@@ -268,10 +276,13 @@ class SweepResults:
 
         The values of a field are either given (listed or spaced) or drawn at random. All fields
         with given values, except the field whose effect is computed, are as in the central case.
+        In the central case, each field with given values has the base scenario's value or, if the
+        sweep does not contain this value, the middle of the field's values.
 
         For a field with given values, the range of the quantity is taken over all values of the
         field. The first and the last value of the field alone do not suffice: for an angle that
-        goes once around, the quantity is the same at both.
+        goes once around, the quantity is the same at the first and at the last value. If the sweep
+        also has random fields, the quantity is averaged over their draws.
 
         For a random field, a linear function of all random fields is fitted to the quantity by
         least squares. The range is that of the fitted function between the 5 % and 95 % quantiles
