@@ -88,7 +88,7 @@ def locked_folder(folder: Path) -> Iterator[None]:
 
 @contextmanager
 def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[sqlite3.Connection]:
-    """Context manager: connect to an SQLite database, and translate its errors to StoreError.
+    """Context manager: connect to an SQLite database, and translate SQLite's errors to StoreError.
 
     Parameters
     ----------
@@ -97,7 +97,13 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
     mode : str
         SQLite's mode of opening: ``"ro"`` reads, ``"rw"`` also writes, ``"rwc"`` also creates.
     called : Path, optional
-        File name to print in messages instead of `file`, for a temporary copy.
+        File name that error messages print; `file` by default. If `file` is a temporary copy of a
+        database, `called` is the file of the original database.
+
+    Yields
+    ------
+    Connection
+        The open connection, which is closed on exit.
 
     Raises
     ------
@@ -153,14 +159,23 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 
 
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
-    """Create the tables of a result store if the database is empty; check that it is writable.
+    """Create the tables of a result store in an empty database; check that it is writable.
+
+    If the database already has tables, only the check is made: a write transaction is begun, and
+    nothing is changed.
 
     Parameters
     ----------
     connection : sqlite3.Connection
-        Connection that may write.
+        Connection to the database, opened for writing.
     notes : mapping
-        Content of a new table ``sweep``: design and version of the package, by name.
+        Rows of the new table ``sweep``: the sweep's design as JSON text under the name ``design``,
+        and the version of pyomo_quad under the name ``version``.
+
+    Raises
+    ------
+    sqlite3.DatabaseError
+        If the database cannot be written.
     """
     (count,) = connection.execute("SELECT count(*) FROM sqlite_master").fetchone()
     if not count:
@@ -457,7 +472,11 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status (finished, failed or lost) of each stored case of the sweep, by key."""
+        """Return the status of each stored case of the sweep, by the case's key.
+
+        A case is finished (solved and verified), failed (the solve or its verification failed) or
+        lost (the worker process died while it solved the case).
+        """
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
@@ -551,7 +570,7 @@ class ResultStore:
             ) from error
 
     def warm_start(self, key: str) -> bytes | None:
-        """Return the stored solution of a case, from which neighbouring cases start.
+        """Return a case's warm start: the stored solution from which neighbouring cases start.
 
         Parameters
         ----------
@@ -561,7 +580,8 @@ class ResultStore:
         Returns
         -------
         bytes or None
-            Packed warm start; None if the case has none.
+            The solution of the case, or of its parent if the case has none, packed into bytes; None
+            if neither is stored for the case.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
@@ -644,8 +664,10 @@ _MOST_CHANGES = 5
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     """Continue a result store with a changed study, if the stored rows remain valid.
 
-    The rows remain valid if each is a case of the new design, and base scenario, task and baselines
-    are unchanged. The new design is then written into the store.
+    The rows remain valid if each row belongs to a case of the new design, and the following are
+    unchanged: the base scenario, the task (to plan each case's flight, or to fly the base case's
+    plan in each case), and the baselines (reference trajectories that the controller flies in each
+    case). The new design is then written into the store.
 
     Parameters
     ----------

@@ -139,7 +139,8 @@ class LoadedStudy:
     study : Study
         Content of the file.
     base : Scenario
-        The base scenario, with the study's table ``fixed`` applied to its fields.
+        The base scenario. The fields that the study file lists in its table ``fixed`` have the
+        values of that table instead of those of the scenario file.
     """
 
     source: str

@@ -123,9 +123,9 @@ class Workers:
         return outcomes
 
     def stop(self) -> list[CaseOutcome]:
-        """Stop the executor, and return the rows of the submitted cases that have ended.
+        """Stop the executor, and return the rows of cases that ended after the last call of `wait`.
 
-        Cases that are still running are discarded.
+        Submitted cases that have not ended are discarded, as are cases whose worker died.
         """
         outcomes = [
             future.result()

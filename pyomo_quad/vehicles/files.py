@@ -31,7 +31,8 @@ def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
     vehicle : EstimatedVehicle
         The vehicle.
     title : str
-        Title of the vehicle.
+        Description of the vehicle in a few words, which is written into the first line of the file
+        and into the vehicle's field ``title``.
     """
     known = vehicle.known
     lines = [

@@ -1,4 +1,4 @@
-"""Comparison of computed powers with measurements, for library vehicles and for data sheets."""
+"""Comparison of computed with measured powers, for vehicles of the library or with a data sheet."""
 
 import tomllib
 from collections.abc import Mapping
@@ -179,9 +179,11 @@ def data_sheets() -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each vehicle: mass, propeller, published and estimated hover power [W], error of
-        the estimate relative to the published power [percent], and source. If a data sheet gives
-        only the endurance in hover, the published power follows from it and the battery's energy.
+        One row for each vehicle: title, mass [kg], propeller label (diameter and pitch in inches),
+        published and estimated hover power [W], error of the estimate relative to the published
+        power [percent], kind of the publication (such as bench test or endurance), and source. If a
+        data sheet gives only the endurance in hover, the published power is 80 % of the battery's
+        nominal energy divided by the endurance.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []

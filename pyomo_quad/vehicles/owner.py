@@ -77,7 +77,10 @@ _RANGES = {
 
 @dataclass(frozen=True, kw_only=True)
 class Known:
-    """Data that the owner of a vehicle knows, in SI units; only mass and propeller are required.
+    """Data that the owner of a vehicle knows, in SI units.
+
+    Only name, mass and propeller are required. Arm, speed constant, battery or hover power is None
+    if the owner does not know it.
 
     Attributes
     ----------
@@ -86,15 +89,17 @@ class Known:
     mass : float
         Mass in flight, with battery [kg].
     propeller : Propeller
-        Diameter and pitch.
+        Diameter and pitch of the propellers.
     arm : float or None
         Distance from the centre to a motor shaft [m].
     voltage_constant : float or None
-        Motor speed over voltage [rad/s/V].
+        Speed constant of the motors: speed divided by voltage [rad/s/V].
     pack : Pack or None
         Battery.
-    hover_power, hover_said : float or None, str
-        Measured power of hover [W], and description of the measurement.
+    hover_power : float or None
+        Measured electrical power of the whole vehicle in hover [W].
+    hover_said : str
+        Description of this measurement, such as "8 A at 15 V"; empty without a measurement.
     rotors : int
         Number of rotors.
     density : float
