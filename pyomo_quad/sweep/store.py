@@ -580,8 +580,8 @@ class ResultStore:
         Returns
         -------
         bytes or None
-            The solution of the case, or of its parent if the case has none, packed into bytes; None
-            if neither is stored for the case.
+            The solution of the case, packed into bytes. If the case could not be solved, the
+            solution from which the case itself was started. None if there is neither.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
