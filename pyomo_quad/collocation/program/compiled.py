@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from dataclasses import dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from typing import TYPE_CHECKING, Any
 
@@ -30,6 +30,25 @@ if TYPE_CHECKING:
 
 # Points evaluated in one call of CasADi; a larger map takes more time and memory to set up.
 _CHUNK = 512
+
+
+# Mapped functions that are kept, because making one takes some milliseconds: as many as the
+# simulations of one plan use in turn.
+_MOST_MAPPED = 64
+
+
+@lru_cache(maxsize=_MOST_MAPPED)
+def _mapped(function: Any, size: int, n_shared: int) -> Any:
+    """Return a CasADi function that evaluates a function at several points.
+
+    `function` is the CasADi function of one point, and `size` the number of points. The first
+    `n_shared` inputs are the same at all points.
+    """
+    if size == 1:
+        return function
+    if n_shared:
+        return function.map("mapped", "serial", size, list(range(n_shared)), [])
+    return function.map(size)
 
 
 class MappedFunction:
@@ -53,13 +72,7 @@ class MappedFunction:
         for start in range(0, n, _CHUNK):
             size = min(_CHUNK, n - start)
             if size not in made:
-                shared = list(range(n_shared))
-                mapped = (
-                    function.map("mapped", "serial", size, shared, [])
-                    if n_shared
-                    else function.map(size)
-                )
-                made[size] = (function if size == 1 else mapped).buffer()
+                made[size] = _mapped(function, size, n_shared).buffer()
             self._chunks.append((slice(start, start + size), *made[size]))
 
     def __reduce__(self) -> tuple[Any, ...]:

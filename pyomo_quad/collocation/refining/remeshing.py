@@ -106,9 +106,12 @@ class RefinementOptions:
 
 # Errors are predicted from a fit, so the target is below the tolerance; elements are merged or
 # lowered in degree only if they are predicted to meet the tolerance by a wide margin.
-# Both numbers are fractions of the tolerance: the target, and the error below which elements merge.
-_AIM = 0.3
+# These numbers are fractions of the tolerance: the target, a smaller target for a mesh that is
+# predicted to be the last, and the error below which elements merge.
+_AIM, _LAST_AIM = 0.3, 0.03
 _MARGIN = 1e-2
+# Largest error, in units of the tolerance, from which the next mesh is predicted to be the last.
+_LAST = 1e4
 # Elements are merged on the first meshes only, so that merging and splitting cannot alternate.
 _MERGING_MESHES = 8
 # A control that is still clipped after this many meshes becomes constant in this many parts of its
@@ -118,8 +121,11 @@ _CHASING_MESHES, _CONSTANT_PARTS = 12, 8
 # Number and highest degree of the parts into which an element with a corner is split.
 _CORNER_PARTS = 3
 _CORNER_DEGREE = 4
-# Largest number of parts into which any other element is split at once.
-_MOST_PARTS = 4
+# Largest number of parts into which any other element is split at once; and into which an element
+# that exceeds a limit between the points is split if the next mesh is predicted to be the last.
+_MOST_PARTS, _MOST_PARTS_AT_LIMIT = 4, 8
+# Power of the width with which the violation of a limit between the points is assumed to decrease.
+_VIOLATION_ORDER = 3
 # Highest degree of parts in which a limit on states becomes active or inactive; a higher degree
 # does not help there either.
 _TOUCHING_DEGREE = 6
@@ -354,9 +360,13 @@ def _finer(
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
         # Straight lines satisfy the limits that their ends satisfy.
         return _parts(mesh, e, 2, 1, size)
+    is_last = error.largest <= _LAST * tolerance
     if options.limits_move and error.violation[e] == size:
-        return _parts(mesh, e, _MOST_PARTS, min(degree, _TOUCHING_DEGREE), size)
-    decades = math.log10(size / (_AIM * tolerance))
+        wanted = math.ceil((size / tolerance) ** (1.0 / _VIOLATION_ORDER))
+        count = min(_MOST_PARTS_AT_LIMIT, max(2, wanted)) if is_last else _MOST_PARTS
+        return _parts(mesh, e, count, min(degree, _TOUCHING_DEGREE), size)
+    aim = _LAST_AIM if is_last else _AIM
+    decades = math.log10(size / (aim * tolerance))
     decay = _decay(sizes)
     gain = decay
     if error.integrals[e] == size:
