@@ -28,13 +28,18 @@ _ENVIRONMENT = {
 # Time limit for the forked copies: a minute plus this multiple of the time that this process has
 # spent on the tasks.
 _PATIENCE = 10.0
+# Seconds between two checks of whether the tasks were stopped.
+_MOMENT_S = 0.1
 _PLACES = 256  # the place of a task in the queue is one byte
 _SIGNALS = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 
 
 @contextmanager
 def side_by_side(
-    tasks: Sequence[Callable[[], Any]], *, use_blas: bool = True
+    tasks: Sequence[Callable[[], Any]],
+    *,
+    use_blas: bool = True,
+    is_stopped: Callable[[], bool] | None = None,
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
@@ -49,6 +54,10 @@ def side_by_side(
         Functions without arguments.
     use_blas : bool, default True
         Whether the tasks call BLAS, whose threads a forked copy lacks.
+    is_stopped : callable, optional
+        Returns whether the tasks were stopped, by the user for example. It is called every tenth of
+        a second while this process waits for copies. If it returns True, the copies are given up,
+        and their tasks run here, where they are expected to end at once.
 
     Yields
     ------
@@ -75,15 +84,18 @@ def side_by_side(
 
     def finish() -> tuple[Any, ...]:
         done = {at: tasks[at]() for at in taken()}
-        patience_s = 60.0 + _PATIENCE * (monotonic() - began)
-        for answer in wait(answers, patience_s).done:
+        latest = monotonic() + 60.0 + _PATIENCE * (monotonic() - began)
+        while not _have_ended(answers) and monotonic() < latest:
+            if is_stopped is not None and is_stopped():
+                break
+        for answer in wait(answers, 0.0).done:
             with suppress(Exception):
                 done.update(
                     (at, ForkingPickler.loads(sent)) for at, sent in answer.result().items()
                 )
         return tuple(done[at] if at in done else task() for at, task in enumerate(tasks))
 
-    copies = _cores(len(tasks), use_blas=use_blas) - 1
+    copies = cores(len(tasks), use_blas=use_blas) - 1
     pool = _pool(max(copies, 1), "fork", work_apart)
     answers: list[Future[dict[int, bytes]]] = []
     try:
@@ -95,7 +107,15 @@ def side_by_side(
         end_processes(pool)
 
 
-def _cores(most: int, *, use_blas: bool) -> int:
+def _have_ended(answers: Sequence[Future[Any]]) -> bool:
+    """Wait for the results of copies, but not longer than a moment; return whether all are there.
+
+    `answers` are the future results.
+    """
+    return not wait(answers, _MOMENT_S).not_done
+
+
+def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
     It is 1 where this process must not be forked: on systems other than Linux, if BLAS or OpenMP
@@ -132,7 +152,7 @@ class _QuietPool(ProcessPoolExecutor):
         before = signal.pthread_sigmask(signal.SIG_BLOCK, _SIGNALS)
         try:
             with warnings.catch_warnings():
-                # Warns of a fork beside threads: `_cores` allows a fork only where the threads are
+                # Warns of a fork beside threads: `cores` allows a fork only where the threads are
                 # idle.
                 warnings.simplefilter("ignore", DeprecationWarning)
                 return super().submit(fn, *args, **kwargs)

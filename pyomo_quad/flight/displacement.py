@@ -21,8 +21,11 @@ from pyomo_quad.flight.flight import POSITION_STATES, spans_where
 from pyomo_quad.flight.references import quintic_progress
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics
+    from pyomo_quad.collocation.limits import LimitValues
     from pyomo_quad.flight.flight import Flown
 
 # Prefix of the limits that depend on the position only.
@@ -93,7 +96,15 @@ def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray
     return 0.5 * (early + late), (late - early) / (2.0 * step)
 
 
-def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
+def limits_along(dynamics: Dynamics, flown: Flown) -> list[LimitValues]:
+    """Return values and bounds of each limited quantity at the samples of a flight.
+
+    `dynamics` has the equations of the vehicle with the limits, `flown` the samples of the flight.
+    """
+    return dynamics.limits_of(dynamics.solved(flown.t, flown.states, flown.controls))
+
+
+def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) -> Displacement:
     """Return displacements of a flight's path that lead the flight out of keep-out zones.
 
     Implements docs/theory/tracking.md, eq. (8). Other limits of the airspace, such as the least
@@ -105,6 +116,8 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
         Equations of the vehicle, with the limits of the airspace.
     flown : Flown
         Samples of the flight, dense near zones.
+    limits : sequence of LimitValues
+        Limited quantities at these samples (see `limits_along`).
 
     Returns
     -------
@@ -114,7 +127,7 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
         deepest inside, made a little longer.
     """
     found: list[Push] = []
-    for name, depth in _depths(dynamics, flown).items():
+    for name, depth in _depths(limits).items():
         for first, after in spans_where(depth > 0.0):
             deepest = first + int(np.argmax(depth[first:after]))
             slope = _slope(dynamics, flown, deepest, name)
@@ -127,28 +140,28 @@ def pushes_out(dynamics: Dynamics, flown: Flown) -> Displacement:
     return tuple(found)
 
 
-def moves_in_hovers(dynamics: Dynamics, flown: Flown, allowed: float) -> bool:
+def moves_in_hovers(flown: Flown, limits: Sequence[LimitValues], allowed: float) -> bool:
     """Return whether a flight exceeds the limit on the speed during hovers at waypoints.
 
-    `dynamics` has the equations of the vehicle with this limit, `flown` samples of the flight.
-    `allowed` is the tolerated violation of the limit, relative to the larger of 1 and the limit.
+    `flown` has the samples of the flight, and `limits` the limited quantities at these samples (see
+    `limits_along`). `allowed` is the tolerated violation of the limit, relative to the larger of 1
+    and the limit.
     """
-    found = dynamics.violations(flown.t, flown.states, flown.controls)
-    return any(breach.name.startswith(_HOVER) and breach.relative > allowed for breach in found)
+    hovers = [limit for limit in limits if limit.name.startswith(_HOVER)]
+    return any(limit.worst(slice(None), flown.t).relative > allowed for limit in hovers)
 
 
-def _depths(dynamics: Dynamics, flown: Flown) -> dict[str, FloatArray]:
+def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
     """Return how much the samples of a flight violate each limit of the airspace.
 
-    These limits (path constraints) are keep-out zones and the other limits on the position;
-    `dynamics` has them with the equations of the vehicle, `flown` has the n samples. The result
-    maps the name of each limit to its violations, shape (n,), in the unit of the limit. For a zone
-    they are the depths of the samples: positive inside the zone, negative outside.
+    These limits (path constraints) are keep-out zones and the other limits on the position.
+    `limits` has all limited quantities at the n samples (see `limits_along`). The result maps the
+    name of each limit of the airspace to its violations, shape (n,), in the unit of the limit. For
+    a zone they are the depths of the samples: positive inside the zone, negative outside.
     """
-    instants = dynamics.solved(flown.t, flown.states, flown.controls)
     return {
         limit.name: np.fmax(limit.lower - limit.values, limit.values - limit.upper)
-        for limit in dynamics.limits_of(instants)
+        for limit in limits
         if limit.name.startswith(_AIRSPACE)
     }
 
@@ -173,5 +186,5 @@ def _slope(dynamics: Dynamics, flown: Flown, sample: int, name: str) -> FloatArr
         controls=flown.controls[rows],
         energy=flown.energy[rows],
     )
-    before, beyond = _depths(dynamics, near)[name].reshape(-1, 2).T
+    before, beyond = _depths(limits_along(dynamics, near))[name].reshape(-1, 2).T
     return np.asarray((beyond - before) / (2.0 * _STEP_M))

@@ -7,8 +7,9 @@ mesh. The best of these solutions are solved again on the next mesh, and the bes
 solutions are refined to the tolerance.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from math import inf
 from typing import Any
@@ -21,6 +22,7 @@ from pyomo_quad.flight.corridors import corridor_journeys, estimate_of, has_corr
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
+from pyomo_quad.flight.parallel_solves import most_solves, solve_side_by_side
 from pyomo_quad.flight.references import quintic_progress
 from pyomo_quad.flight.routes import Journey, NoRouteError, TriedRoute, find_journeys, length_of
 from pyomo_quad.flight.verdict import energy_of
@@ -43,6 +45,10 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
+# Paces of the guesses through a wind field (see `RouteFlights.paces`).
+_PACES = (1.0, 1.5)
+# Sides on which a flight touches zones, as pairs of name and side, for each leg.
+_SidesTouched = tuple[frozenset[tuple[str, Side]], ...]
 # Number of meshes of a solve to the next mesh, including the first.
 _TO_THE_NEXT = 2
 # Factor on `_NEAR_ON_FIRST` where accuracy `proof` is not requested: energies on one mesh have
@@ -60,18 +66,30 @@ class RouteFlights:
     known : Solution, optional
         Solution on one mesh along the shortest journey, if it has been computed already. A journey
         is a sequence of routes, one for each leg from one waypoint to the next.
+
+    Attributes
+    ----------
+    paces : tuple of float
+        Durations of the initial guesses along each journey, relative to the nominal duration. There
+        are several for a flight of free duration through a wind field, which has many local optima.
     """
 
     _near_on_first = _NEAR_ON_FIRST
     _tolerance = 0.0
     # Whether routes that a solved route dominates are left out.
     _is_pruned = False
+    # Whether the easier mission past the waypoints is solved first.
+    _is_plain = False
+    paces: tuple[float, ...] = (1.0,)
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
         self._mission, self._scenario, self._known = mission, mission.told, known
         solver = self._scenario.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
-        self._is_plain, self._tolerance = False, solver.tolerance
+        self._tolerance = solver.tolerance
+        told = self._scenario.mission
+        if has_corridors(self._scenario) and told.is_free and not told.waypoints:
+            self.paces = _PACES
         if self._scenario.solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
             # Through a wind field, several optima pass the zones on the same sides.
@@ -119,10 +137,7 @@ class RouteFlights:
         """
         flown: list[tuple[Journey, Solution]] = []
         dominant: list[_SidesTouched] = []
-        for journey in journeys:
-            if self._is_pruned and any(_is_dominated(journey, sides) for sides in dominant):
-                continue
-            solution = self.fly(journey)
+        for journey, solution in self._each_flown(journeys, dominant):
             if self._is_pruned and solution.status.is_solved:
                 dominant.append(sides_touched(self._scenario, journey, solution))
             if not any(_is_same(solution, other) for _, other in flown):
@@ -146,6 +161,31 @@ class RouteFlights:
             if k in known
         )
 
+    def _each_flown(
+        self, journeys: Sequence[Journey], dominant: list[_SidesTouched]
+    ) -> Iterator[tuple[Journey, Solution]]:
+        """Solve along journeys that no solved journey dominates; give each with its solution.
+
+        The first journey is solved alone, since its solution as a rule dominates others. Then as
+        many journeys are solved at the same time as there are cores. The results do not depend on
+        this number: a solution is dropped if a journey before it turns out to dominate its own.
+
+        Parameters
+        ----------
+        journeys : sequence of tuple of Route
+            The journeys, each a route for each leg of the mission from one waypoint to the next.
+        dominant : list of _SidesTouched
+            Sides of the zones that the solutions so far touch. The caller extends the list.
+        """
+        yield journeys[0], self.fly(journeys[0])
+        waiting, count = [*journeys[1:]], most_solves()
+        while waiting := [j for j in waiting if not any(_is_dominated(j, s) for s in dominant)]:
+            together, waiting = waiting[:count], waiting[count:]
+            solves = [partial(self._fly_beside, journey) for journey in together]
+            for journey, solution in zip(together, self._side_by_side(solves), strict=True):
+                if not any(_is_dominated(journey, sides) for sides in dominant):
+                    yield journey, solution
+
     def _near(self, known: dict[int, Solution]) -> list[int]:
         """Solve again on a finer mesh along the cheapest journeys; return the best of them.
 
@@ -164,7 +204,8 @@ class RouteFlights:
         near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
         if len(near) < 2:
             return near
-        improved = {k: self.refine(known[k], _TO_THE_NEXT) for k in near}
+        solves = [partial(self.refine, known[k], _TO_THE_NEXT) for k in near]
+        improved = dict(zip(near, self._side_by_side(solves), strict=True))
         known |= {k: s for k, s in improved.items() if s.status.is_solved}
         for k in sorted(near, reverse=True):
             if any(_is_same(known[k], known[j]) for j in near if j < k):
@@ -191,14 +232,14 @@ class RouteFlights:
         its coarse solution, and `near` has the numbers of the best journeys. If the refinement
         fails for all of them, further solutions are refined until one refinement succeeds.
         """
-        refined: dict[int, Solution] = {}
+        solved = self._side_by_side([partial(self.refine, known[k], None) for k in near])
+        refined = dict(zip(near, solved, strict=True))
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
-        for k in [*near, *others]:
-            if k not in near and any(s.status.is_solved for s in refined.values()):
+        for k in others:
+            statuses = [s.status for s in refined.values()]
+            if Status.INTERRUPTED in statuses or any(status.is_solved for status in statuses):
                 break
             refined[k] = self.refine(known[k], None)
-            if refined[k].status is Status.INTERRUPTED:
-                break
         return refined
 
     def energy_of(self, solution: Solution) -> float:
@@ -264,18 +305,34 @@ class RouteFlights:
         return cost
 
     def fly(self, journey: Journey) -> Solution:
-        """Solve the mission on one mesh from an initial guess along a journey.
+        """Solve the mission on one mesh from initial guesses along a journey.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. If the
-        solve fails, it is repeated from the solution of an easier mission, in which the vehicle
-        passes exactly through the waypoints. For all further journeys the easier mission is then
-        solved first, because the difficulty does not depend on the journey.
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. The
+        solution returned is the best of the solutions from one guess for each of the `paces`.
         """
         if self._known is not None:
             known, self._known = self._known, None
             return known
+        solved = self._side_by_side([partial(self._fly_at, journey, pace) for pace in self.paces])
+        return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
+
+    def _fly_at(self, journey: Journey, pace: float) -> Solution:
+        """Solve the mission on one mesh from an initial guess along a journey.
+
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. `pace` is
+        the duration of the guess relative to the nominal duration of the mission. If the solve
+        fails, it is repeated from the solution of an easier mission, in which the vehicle passes
+        exactly through the waypoints. For all further journeys the easier mission is then solved
+        first, because the difficulty does not depend on the journey.
+        """
         told, mission = self._scenario, self._mission
-        guess: Any = guess_along(journey, told.nominal_times, is_open=told.mission.is_free)
+        guess: Any = guess_along(
+            journey,
+            [pace * time for time in told.nominal_times],
+            is_open=told.mission.is_free,
+            # A waypoint is usually passed without a stop.
+            is_even=len(journey) > 1 or has_corridors(told),
+        )
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
@@ -287,7 +344,27 @@ class RouteFlights:
         if not is_new or mission.past_waypoints is None:
             return rough
         self._is_plain = True
-        return self.fly(journey)
+        return self._fly_at(journey, pace)
+
+    def _fly_beside(self, journey: Journey) -> Solution:
+        """Solve along a journey at the same time as along others, without effect on the others.
+
+        As in the method `fly`, the easier mission is solved first if the first solve fails.
+        """
+        is_plain = self._is_plain
+        solution = self.fly(journey)
+        self._is_plain = is_plain
+        return solution
+
+    def _side_by_side(self, solves: Sequence[Callable[[], Solution]]) -> tuple[Solution, ...]:
+        """Return the solutions of solves of the mission, carried out on all cores.
+
+        `solves` are functions without arguments. On one core, or for one solve, they are called in
+        turn.
+        """
+        if len(solves) < 2 or most_solves() < 2:
+            return tuple(solve() for solve in solves)
+        return solve_side_by_side(self._mission, solves)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
         """Refine the mesh of a solution and solve again, with a limited number of meshes.
@@ -356,8 +433,12 @@ _DIGITS = 6
 
 
 def guess_along(
-    journey: Journey, times: Sequence[float], *, is_open: bool = False
-) -> dict[str, FloatArray]:
+    journey: Journey,
+    times: Sequence[float],
+    *,
+    is_open: bool = False,
+    is_even: bool = False,
+) -> dict[str, Any]:
     """Return positions and velocities along a journey, as an initial guess of a solve.
 
     Parameters
@@ -368,26 +449,29 @@ def guess_along(
         Times at which each waypoint is reached and left, in order, and the end time [s].
     is_open : bool, optional
         Whether the end time is free. The values under "time" are then fractions of the horizon.
+    is_even : bool, optional
+        Whether the speed along each leg is constant. Otherwise each leg begins and ends at rest.
 
     Returns
     -------
     dict
-        "time" -> times of the samples [s], shape (n,), and name of a state -> its samples.
+        "time" -> times of the samples [s], shape (n,), and name of a state -> its samples. If the
+        end time is free and there is one leg, also "duration" -> the end time [s].
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []
     for route, first, last in zip(journey, begun, (*times[0:-1:2], times[-1]), strict=True):
         elapsed = np.linspace(0.0, 1.0, _GUESS_SAMPLES)
         instants.append(first + (last - first) * elapsed)
-        # A waypoint is usually passed without a stop.
-        progress = quintic_progress(elapsed) if len(journey) == 1 else elapsed
+        progress = elapsed if is_even else quintic_progress(elapsed)
         places.append(route.places_at(progress))
     when, kept = np.unique(np.concatenate(instants), return_index=True)
     where = np.vstack(places)[kept]
     rates = np.gradient(where, when, axis=0)
     columns = dict(zip(POSITION_STATES, where.T, strict=True))
     told = when / times[-1] if is_open else when
-    return {"time": told} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True))
+    end = {"duration": times[-1]} if is_open and len(journey) == 1 else {}
+    return {"time": told} | columns | dict(zip(VELOCITY_STATES, rates.T, strict=True)) | end
 
 
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
@@ -423,8 +507,6 @@ def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Jo
     return tuple(flown)
 
 
-# Sides on which a flight touches zones, as pairs of name and side, for each leg.
-_SidesTouched = tuple[frozenset[tuple[str, Side]], ...]
 # Distance from a zone's clearance at which a path on a coarse mesh touches it [m].
 _TOUCHING_M = 0.1
 # Samples per element of the path, at which its distance from zones is computed.

@@ -124,6 +124,7 @@ class Search:
         self._show = show
         self._began = time.thread_time()
         self._energy, self._uncertainty = inf, inf
+        self._last: Iteration | None = None
 
     @property
     def spent_s(self) -> float:
@@ -160,6 +161,22 @@ class Search:
         returns a plan that was simulated, or None.
         """
         self._make_first = make_first
+
+    def begin_apart(self, spent_s: float) -> None:
+        """Go on with the search in a forked copy of the process, for some of its solves.
+
+        The copy makes no first plan and shows no progress. `spent_s` is the processor time of the
+        search before the copy was made; the clock of a copy starts at zero.
+        """
+        self._make_first = self._show = None
+        self._began = time.thread_time() - spent_s
+
+    def is_stopped(self) -> bool:
+        """Return whether the search is over: stopped by the user, or by its time limit.
+
+        The progress callback of the caller is asked once more, with the last iteration of Ipopt.
+        """
+        return self._last is not None and not self.deadline(self._last)
 
     def _begin(self) -> None:
         """Make the first plan of the search, and store it if it is usable.
@@ -201,6 +218,7 @@ class Search:
         Ipopt calls this method at each iteration. The result is False if the search has exceeded
         its time limit, or if the solves have cost more than the limit set by `begin_effort`.
         """
+        self._last = iteration
         self.work += iteration.mesh_points
         if self.work - self._patient_from > _PROMPT and not self.deadline.is_over:
             self._begin()

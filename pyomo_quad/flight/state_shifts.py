@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from pyomo_quad.arrays import FloatArray
-    from pyomo_quad.collocation import Dynamics
+    from pyomo_quad.collocation.limits import LimitValues
     from pyomo_quad.flight.flight import Flown
 
 # Limits on roll and pitch, on the speed, and the beginning of the names of the limits on rotor
@@ -53,7 +53,7 @@ class StateShift:
 
 
 def shifts_within_limits(
-    dynamics: Dynamics, flown: Flown, tolerated: float
+    names: Sequence[str], flown: Flown, limits: Sequence[LimitValues], tolerated: float
 ) -> tuple[StateShift, ...]:
     """Return shifts of a path away from limits on tilt, speed and rotor speed.
 
@@ -62,10 +62,12 @@ def shifts_within_limits(
 
     Parameters
     ----------
-    dynamics : Dynamics
-        Equations of the vehicle, with the limits.
+    names : sequence of str
+        Names of the states, in the order of the columns of the samples.
     flown : Flown
         Samples of the simulated flight.
+    limits : sequence of LimitValues
+        Limited quantities at these samples (see `flight.displacement.limits_along`).
     tolerated : float
         Tolerated violation of a limit. It is relative to the greatest magnitude of the limited
         quantity in the flight, or to 1 in the unit of this quantity if that is larger.
@@ -77,7 +79,7 @@ def shifts_within_limits(
         of the tolerated violation.
     """
     found: list[StateShift] = []
-    for limit in dynamics.limits_of(dynamics.solved(flown.t, flown.states, flown.controls)):
+    for limit in limits:
         if not _is_kept_by_shifts(limit.name):
             continue
         above, below = limit.values - limit.upper, limit.lower - limit.values
@@ -87,7 +89,7 @@ def shifts_within_limits(
                 worst = first + int(np.argmax(excess[first:after]))
                 if excess[worst] > least:
                     size = side * float(excess[worst])
-                    towards = _slope(limit.name, dynamics.state_names, flown.states[worst])
+                    towards = _slope(limit.name, names, flown.states[worst])
                     found.append(
                         StateShift(
                             first=float(flown.t[first]) - _AROUND_S,

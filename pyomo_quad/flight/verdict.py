@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pyomo_quad.collocation import SolveError, Status
-from pyomo_quad.flight.displacement import moves_in_hovers, pushes_out
+from pyomo_quad.flight.displacement import limits_along, moves_in_hovers, pushes_out
 from pyomo_quad.flight.flight import HELD_BREACH, Flown
 from pyomo_quad.flight.limit_words import percent
 from pyomo_quad.flight.plan import (
@@ -257,14 +257,15 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
     flight moved during a hover, the result also demands rest during all hovers. `allowed` is the
     tolerated violation of a limit, relative to the larger of 1 and the limit.
     """
-    rests = demands.rests
-    if not rests and moves_in_hovers(plan.dynamics, path, allowed):
+    rests, limits = demands.rests, limits_along(plan.dynamics, path)
+    if not rests and moves_in_hovers(path, limits, allowed):
         begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
         rests = tuple((start, start + w.hold) for w, start in begun if w.hold)
+    shifts = shifts_within_limits(plan.dynamics.state_names, path, limits, allowed)
     return Demands(
-        displacement=(*demands.displacement, *pushes_out(plan.dynamics, path)),
+        displacement=(*demands.displacement, *pushes_out(plan.dynamics, path, limits)),
         rests=rests,
-        shifts=(*demands.shifts, *shifts_within_limits(plan.dynamics, path, allowed)),
+        shifts=(*demands.shifts, *shifts),
     )
 
 

@@ -19,8 +19,8 @@ from pyomo_quad.paper.rotor_map import (
     critical_acceleration,
     sample_efficiency_map,
 )
+from pyomo_quad.processes import process_pool
 from pyomo_quad.scenario import PowerModel
-from pyomo_quad.study.processes import process_pool
 
 # Fraction of the charge up to which the stored energy is counted, because the model's voltage falls
 # without bound as the charge runs out.

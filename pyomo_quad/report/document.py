@@ -11,10 +11,10 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pyomo_quad.processes import side_by_side
 from pyomo_quad.report import Figures
 from pyomo_quad.report.render import FIGURE_FOLDER, render_markdown
 from pyomo_quad.report.tables import Table, write_summary, write_table
-from pyomo_quad.study.processes import side_by_side
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:

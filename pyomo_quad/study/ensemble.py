@@ -23,10 +23,10 @@ from pyomo_quad.flight.proof import in_order
 from pyomo_quad.flight.references import ReferencePath
 from pyomo_quad.flight.routes import SETTLINGS_S, cruise_at
 from pyomo_quad.flight.weather import draw
+from pyomo_quad.processes import side_by_side
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.tables import CruiseSettings, Reference
 from pyomo_quad.study.autopilot import TUNED_CRUISE
-from pyomo_quad.study.processes import side_by_side
 from pyomo_quad.version import __version__
 
 if TYPE_CHECKING:

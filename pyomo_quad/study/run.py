@@ -18,6 +18,7 @@ from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.risk import plan_at_risk
 from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.presentation import presenter
+from pyomo_quad.processes import side_by_side
 from pyomo_quad.scenario import Reference, Scenario, ScenarioError
 from pyomo_quad.study.aims import disagreement, energy_and_charge
 from pyomo_quad.study.autopilot import TUNED_CRUISE, Tuning, fly_cruise, tune_cruise
@@ -31,7 +32,6 @@ from pyomo_quad.study.comparison import (
 )
 from pyomo_quad.study.ensemble import InTurbulence, fly_in_turbulence
 from pyomo_quad.study.front import energy_time_front
-from pyomo_quad.study.processes import side_by_side
 
 if TYPE_CHECKING:
     import xarray as xr

@@ -20,8 +20,8 @@ from concurrent.futures import (
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
+from pyomo_quad.processes import end_processes, environment_of_workers, pool_of
 from pyomo_quad.scenario.messages import PyomoQuadError
-from pyomo_quad.study.processes import end_processes, environment_of_workers, pool_of
 from pyomo_quad.sweep.case import CaseOutcome, CaseTask, perform
 
 # Two tasks per worker: a second task waits, so that no worker idles while a result is transferred.

@@ -12,6 +12,7 @@ from tests.architecture import test_sizes
 FLOORS = {
     "arrays": -1,
     "presentation": 0,
+    "processes": 0,
     "scenario": 0,
     "collocation": 0,
     "model": 1,

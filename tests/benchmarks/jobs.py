@@ -19,7 +19,7 @@ from statistics import median
 import numpy as np
 
 from tests.benchmarks import robustness
-from tests.benchmarks.measuring import ONE_THREAD
+from tests.benchmarks.measuring import ONE_THREAD, on_one_core
 from tests.benchmarks.mission_speed import MISSIONS
 from tests.benchmarks.report import FOLDER, Table
 
@@ -187,6 +187,7 @@ def run(job, checkout):
                 text=True,
                 check=False,
                 timeout=PATIENCE_S,
+                preexec_fn=None if job.function == "run" else on_one_core,
             )
         except subprocess.TimeoutExpired:
             return {"s": float("inf"), "ended": f"ended after {PATIENCE_S:g} s"}

@@ -186,6 +186,8 @@ def fly(mission):
     solver = told.solver.model_copy(update={"max_iterations": MOST_ITERATIONS})
     begun = told.model_copy(update={"solver": solver})
     flights = RouteFlights(MissionProblem(planner, begun.as_forecast()))
+    # Each random route is one start.
+    flights.paces = (1.0,)
     rough = []
     fly_one = flights.fly
 

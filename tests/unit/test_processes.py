@@ -10,13 +10,13 @@ from functools import partial
 
 import pytest
 
-from pyomo_quad.study import processes
-from pyomo_quad.study.processes import side_by_side
+from pyomo_quad import processes
+from pyomo_quad.processes import side_by_side
 
 
 @pytest.fixture(params=[1, 2, 3])
 def cores(request, monkeypatch):
-    monkeypatch.setattr(processes, "_cores", lambda most, **_: min(request.param, most))
+    monkeypatch.setattr(processes, "cores", lambda most, **_: min(request.param, most))
     return request.param
 
 
@@ -122,13 +122,13 @@ def test_what_a_copy_prints_is_not_lost(capfd):
 ABANDONED = """
 import os, signal, time
 from pathlib import Path
-from pyomo_quad.study import processes
+from pyomo_quad import processes
 
 def begun_for_long():
     Path({begun!r}).touch()
     time.sleep(600)
 
-processes._cores = lambda most, **_: 2
+processes.cores = lambda most, **_: 2
 with processes.side_by_side([begun_for_long] * 2):
     while not Path({begun!r}).exists():
         time.sleep(0.01)
@@ -150,7 +150,7 @@ def test_a_process_whose_libraries_have_threads_is_not_copied(monkeypatch, threa
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     if threads is not None:
         monkeypatch.setenv("OMP_NUM_THREADS", threads)
-    assert processes._cores(8, use_blas=True) == most
-    assert processes._cores(8, use_blas=False) == 2
+    assert processes.cores(8, use_blas=True) == most
+    assert processes.cores(8, use_blas=False) == 2
     monkeypatch.setattr(multiprocessing, "parent_process", lambda: "a sweep")
-    assert processes._cores(8, use_blas=False) == 1
+    assert processes.cores(8, use_blas=False) == 1

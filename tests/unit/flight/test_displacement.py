@@ -5,7 +5,7 @@ import pytest
 
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import Planner
-from pyomo_quad.flight.displacement import Push, displaced, pushes_out
+from pyomo_quad.flight.displacement import Push, displaced, limits_along, pushes_out
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.verdict import plan_of, verified
@@ -93,7 +93,7 @@ def test_a_push_leads_away_from_the_zone_by_the_depth_of_the_path(cutting):
         0.0, 8.0, len(path.t)
     )
     straight = type(path)(t=path.t, states=moved, controls=path.controls, energy=path.energy)
-    (push,) = pushes_out(plan.dynamics, straight)
+    (push,) = pushes_out(plan.dynamics, straight, limits_along(plan.dynamics, straight))
     assert push.vector[0] == pytest.approx(0.0, abs=0.05)
     assert push.vector[1] == pytest.approx(-1.3 * 0.2 - 0.02, abs=0.03)
     assert push.vector[2] == pytest.approx(0.0, abs=0.05)

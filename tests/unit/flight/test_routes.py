@@ -12,6 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight import route_flights
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import (
     RouteFlights,
@@ -316,8 +317,9 @@ def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
     assert all(np.all(shares[name] == guess[name]) for name in guess if name != "time")
 
 
-def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once():
+def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once(monkeypatch):
     """The meshes differ, and the energies by rounding alone."""
+    monkeypatch.setattr(route_flights, "most_solves", lambda: 1)
     journeys = find_journeys(airspace(MAST, floor=0.0, ceiling=9.0), [START, GOAL])
     heights = iter([1.0, 2.0])
     refined = []

@@ -5,6 +5,7 @@ import pytest
 
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import Planner
+from pyomo_quad.flight.displacement import limits_along
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.plan import trajectories_of
 from pyomo_quad.flight.state_shifts import shifted, shifts_within_limits
@@ -30,6 +31,11 @@ def flown(dynamics, path):
     )
 
 
+def shifts_of(dynamics, samples, tolerated):
+    limits = limits_along(dynamics, samples)
+    return shifts_within_limits(dynamics.state_names, samples, limits, tolerated)
+
+
 def largest(samples, names, limit):
     """Return the largest magnitude of the quantity that a limit bounds."""
     states = dict(zip(names, samples.states.T, strict=True))
@@ -53,7 +59,7 @@ def test_a_flight_whose_path_is_shifted_exceeds_a_limit_far_less(coarse, limit):
     dynamics = tight.problem.dynamics(**{k: tight.arguments[k] for k in ("parameters", "horizon")})
     first = tracked(dynamics, path)
     before = flown(dynamics, first)
-    shifts = shifts_within_limits(dynamics, before, 1e-5)
+    shifts = shifts_of(dynamics, before, 1e-5)
     assert shifts
     second = tracked(dynamics, path, Demands(shifts=shifts), first)
     after = flown(dynamics, second)
@@ -67,5 +73,5 @@ def test_a_flight_whose_path_is_shifted_exceeds_a_limit_far_less(coarse, limit):
 def test_a_flight_within_its_limits_needs_no_shift(coarse):
     mission, path = coarse
     dynamics = mission.problem.dynamics()
-    assert shifts_within_limits(dynamics, flown(dynamics, tracked(dynamics, path)), 1e-3) == ()
+    assert shifts_of(dynamics, flown(dynamics, tracked(dynamics, path)), 1e-3) == ()
     assert not shifted(dynamics.state_names, np.linspace(0.0, 6.0, 5), ()).any()

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from pyomo_quad import processes
 from pyomo_quad.report import Figures, gallery
 from pyomo_quad.report.document import Drawing, drawn_meanwhile
 from pyomo_quad.report.gallery import plan_drawings
 from pyomo_quad.report.labels import Label, write_labels
 from pyomo_quad.report.report import write_run_report, write_solve_report
 from pyomo_quad.report.style import flight_styles, styled_flights
-from pyomo_quad.study import processes
 from tests.synthetic_run import synthetic_run
 
 

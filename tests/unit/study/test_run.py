@@ -6,9 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from pyomo_quad import processes, run
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.scenario import Reference, load_scenario
-from pyomo_quad.study import processes, run
 
 SHORT = (
     "mission.goal.position=[1.0, 0.0, 0.5]",

@@ -1,0 +1,112 @@
+"""Solves of one mission side by side, in forked copies of this process.
+
+A copy has the compiled problem already. It sends back its solution without the problem, in a few
+milliseconds, and the best usable plan that it made. A usable plan is a plan that simulation
+confirms at lower accuracy than requested.
+"""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from multiprocessing.reduction import ForkingPickler
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from pyomo_quad.processes import cores, side_by_side
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from pyomo_quad.collocation import Solution
+    from pyomo_quad.flight.mission_problem import MissionProblem
+    from pyomo_quad.flight.plan import Plan
+
+
+def most_solves() -> int:
+    """Return the number of solves that run at the same time on this machine; 1 without copies."""
+    return cores(os.cpu_count() or 1, use_blas=True)
+
+
+def solve_side_by_side(
+    mission: MissionProblem, solves: Sequence[Callable[[], Solution]]
+) -> tuple[Solution, ...]:
+    """Carry out solves of a mission, as many at the same time as there are cores.
+
+    The solutions do not depend on the number of cores. If the search for a plan is stopped, the
+    solves in copies are given up.
+
+    Parameters
+    ----------
+    mission : MissionProblem
+        Compiled problem of the mission. Its search for a plan (attribute `search`) receives the
+        usable plans and the work of the copies.
+    solves : sequence of callable
+        Functions without arguments, each of which solves the problem of `mission`.
+
+    Returns
+    -------
+    tuple of Solution
+        Results in the order of `solves`, converged or not.
+    """
+    search, here = mission.search, os.getpid()
+    spent_s = 0.0 if search is None else search.spent_s
+
+    def carry_out(solve: Callable[[], Solution]) -> Solution | _Sent:
+        if os.getpid() == here:
+            return solve()
+        for shared in _SHARED:
+            ForkingPickler.register(type(shared), _reduced)
+        if search is None:
+            return _Sent(solve())
+        search.begin_apart(spent_s)
+        usable, work = search.usable, search.work
+        solution = solve()
+        new = None if search.usable is usable else search.usable
+        return _Sent(solution, new, search.work - work)
+
+    _SHARED[:] = [mission.problem, mission.problem.compiled]
+    is_stopped = None if search is None else search.is_stopped
+    with side_by_side([partial(carry_out, s) for s in solves], is_stopped=is_stopped) as finish:
+        answers = finish()
+    found = []
+    for answer in answers:
+        sent = answer if isinstance(answer, _Sent) else _Sent(answer)
+        found.append(sent.solution)
+        if search is not None:
+            search.work += sent.work
+            if sent.usable is not None:
+                search.keep(sent.usable)
+    return tuple(found)
+
+
+class _Sent(NamedTuple):
+    """Result of a solve in a copy: its solution, a better usable plan, and the work it took.
+
+    The usable plan is None if the copy found none that is better than that of the original process.
+    The work is the number of mesh points, summed over the iterations of Ipopt.
+    """
+
+    solution: Solution
+    usable: Plan | None = None
+    work: int = 0
+
+
+# Compiled problem of the mission that is solved, which copies do not send back.
+_SHARED: list[object] = []
+
+
+def _reduced(sent: object) -> Any:
+    """Reduce an object that a copy sends back: to its place if it is shared, else as usual.
+
+    `sent` is an object of the type of one of the shared objects. The result is a reduction as the
+    module `pickle` defines it: a function and its arguments, from which the object is made again.
+    """
+    for place, shared in enumerate(_SHARED):
+        if sent is shared:
+            return _shared, (place,)
+    return sent.__reduce_ex__(4)
+
+
+def _shared(place: int) -> object:
+    """Return the shared object that has a place in the list."""
+    return _SHARED[place]
