@@ -233,7 +233,9 @@ class Baseline(Part):
 
 
 class PowerModel(StrEnum):
-    """Model of the electrical power of the rotors; `model.power` has the equations of each model.
+    """Model of the electrical power of the rotors.
+
+    The module `model.power` of the package has the equations of each model.
 
     The integral of the power over time is the energy of the flight.
     """

@@ -619,13 +619,13 @@ def _bound_of_places(
     winds: FloatArray,
     power: float,
 ) -> float:
-    """Return a lower bound on the energy [J] that takes account of where each wind blows.
+    """Return a lower bound on the energy of any flight through a wind field [J].
 
-    The mission has a wind field. The bound that the module `study.pairs` computes assumes that
-    every wind of the field may blow everywhere. The bound of this function (docs/theory/bound.md,
-    eq. (25)) assumes in each horizontal cell of the field's grid only the winds of this cell. The
-    function `_has_places` tells whether the bound applies to a mission. The result is minus
-    infinity if the search finds no such bound.
+    In each horizontal cell of the field's grid, the bound allows for the winds of this cell only
+    (docs/theory/bound.md, eq. (25)). It is therefore tighter than the bound of the module
+    `study.pairs`, which assumes that every wind of the field may blow everywhere. The result is
+    minus infinity if no bound was found. The function `_has_places` states for which missions this
+    function may be called.
 
     Parameters
     ----------

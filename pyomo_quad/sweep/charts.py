@@ -48,7 +48,8 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases, one curve for each combination of the other fields.
+        Finished cases. Each curve holds the cases in which the fields that vary besides the one
+        on the horizontal axis have the same values.
     quantity : Quantity
         Output column to draw; smaller is better.
     tried : sequence of float
@@ -87,7 +88,8 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases, one curve for each combination of the other fields.
+        Finished cases. Each curve holds the cases in which the fields that vary besides the one
+        on the horizontal axis have the same values.
     field : str
         Dotted path of the scenario field on the horizontal axes.
     quantities : sequence of Quantity

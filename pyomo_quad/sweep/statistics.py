@@ -245,11 +245,11 @@ class SweepResults:
         return {path: value for path, value in self.central_case.items() if path not in free}
 
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
-        """Tabulate a quantity over two dimensions, with the other fields as in the central case.
+        """Tabulate a quantity over two dimensions of the sweep, with all other fields held fixed.
 
-        In the central case, each field that varies has the base scenario's value or, if the sweep
-        does not contain this value, the middle of the field's values. If the sweep has random
-        fields, the quantity is averaged over their draws.
+        Each other field is held at its value in the base scenario or, if the sweep does not contain
+        this value, at the middle of its values. If the sweep has random fields, the quantity is
+        averaged over their draws.
 
         Parameters
         ----------

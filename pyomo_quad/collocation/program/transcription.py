@@ -507,14 +507,25 @@ class Transcription:
         return curvatures
 
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the Hessian of the Lagrangian with respect to the variables of each point.
+        """Return for each collocation point the Hessian of the Lagrangian in the point's variables.
 
-        The result has the shape (n_points, n_variables, n_variables), with one Hessian per
-        collocation point, per unit of the fraction of the horizon (divided by the quadrature weight
-        of the point). Each Hessian contains the terms of path equations and integrands. The
-        variables are in this order: rates (derivatives of the states with respect to the fraction
-        of the horizon), states, algebraic and static variables. `z` are the unknowns, and
-        `multipliers` the multipliers of all constraints of the program.
+        The terms of the Lagrangian are those of the path equations and the integrands at the point.
+        They are divided by the quadrature weight of the point, which makes them a density over the
+        fraction of the horizon.
+
+        Parameters
+        ----------
+        z : ndarray, shape (n_unknowns,)
+            Unknowns of the program.
+        multipliers : ndarray, shape (n_constraints,)
+            Multipliers of all constraints of the program.
+
+        Returns
+        -------
+        ndarray, shape (n_points, n_variables, n_variables)
+            Hessians. The variables of a point are, in this order: rates (derivatives of the states
+            with respect to the fraction of the horizon), states, algebraic variables and static
+            variables.
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)

@@ -574,11 +574,19 @@ class _MeshSolve(Search[S], Generic[S]):
         }[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the next meshes with a given solution strategy, and return the result.
+        """Solve on the meshes of this object with one solution strategy, and return the result.
 
-        `strategy` determines the starting point, the limit of iterations, and whether the damping
-        of the controls (the penalty on their distance from the controls on the previous mesh) is
-        increased.
+        Parameters
+        ----------
+        strategy : Strategy
+            Initial point of the solve, largest number of Ipopt's iterations, and whether the
+            damping of the controls is increased. Damping is a penalty on the distance of the
+            controls from those on the previous mesh.
+
+        Returns
+        -------
+        Solution or JointSolution
+            The solution, converged or not.
         """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
