@@ -348,7 +348,7 @@ class Solver(Part):
     max_iterations: WholeNumber = quantity("1", "Ipopt iterations per mesh", 150, ge=1, le=100_000)
     time_limit: Number = quantity(
         "s",
-        "processor time after which a command stops its solves, diagnosis and flights",
+        "processor time after which each process of a command stops its solves and flights",
         300.0,
         gt=0,
         le=1e6,
