@@ -238,8 +238,8 @@ class TumblingGuard:
 class Integrator(StrEnum):
     """Integration methods of SciPy for simulated flights: `DOP853` and `LSODA`.
 
-    Each flight is simulated by both methods, which share no code. It is verified only if their
-    results agree.
+    Each flight is simulated by both methods, which share no code. A flight is verified only if the
+    two methods agree on its final position and its energy.
     """
 
     RUNGE_KUTTA = "DOP853"
@@ -442,13 +442,15 @@ def fly_baseline(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        Plan to follow, if the reference is the plan. If the flight ends off the goal, the plan's
-        costates give an estimate of the energy that is needed to reach the goal.
+        Plan to follow, if the reference is the plan. For any reference, the plan's costates at the
+        end give an estimate of the energy needed from the final state of the flight to the planned
+        final state, the hover at the goal. Without a plan, the estimate is NaN.
 
     Returns
     -------
     Flight
-        The flight, with a table of its quantities over time and with its results.
+        The flight, with a table of its quantities over time and with its results. The attribute
+        `owed_energy_J` has the estimate; it is also NaN if the plan was made for a forecast wind.
 
     Raises
     ------
@@ -606,7 +608,8 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
 
-    If the flight ends off the goal, the energy that is needed to reach the goal is estimated.
+    The energy still needed is that from the final state of the flight to the planned final state,
+    the hover at the goal. It is zero if these two states are equal.
 
     Parameters
     ----------
@@ -620,7 +623,8 @@ def assembled_flight(
         Each part of the flight, simulated by two integrators from the same state. A flight has
         several parts if the plan is replaced in flight.
     plan : Plan or None
-        Plan whose costates give the estimate of the energy from the end of the flight to the goal.
+        Plan whose costates give the estimate of the energy still needed. The estimate is NaN
+        without a plan, or if the plan was made for a forecast wind.
     began : float
         Value of `time.perf_counter` at the start of the simulation [s], for the computing time.
 
@@ -668,7 +672,9 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Compared with a plan, a flight under feedback has additional tolerances at waypoints and hovers.
+    Some tolerances are larger than those of a plan. At a waypoint, and in a hover at a waypoint,
+    the distance and the speed may exceed their limits by the distance and the speed with which a
+    flight may arrive at its goal. The limit that keeps the heading is not checked.
 
     Parameters
     ----------

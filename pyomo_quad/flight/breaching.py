@@ -243,8 +243,10 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field that can be tightened so that fewer flights break the limit; empty if only a
-        larger reserve of thrust helps.
+        Scenario field whose limit can be tightened in the plan's problem, such as the radius of the
+        waypoint, so that fewer flights break the mission's limit. It is empty if there is no such
+        field, for example at the goal, which the plan reaches exactly. Fewer flights then break the
+        limit only if the plan leaves the rotors a larger reserve of thrust for the controller.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float

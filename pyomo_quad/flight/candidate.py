@@ -97,7 +97,8 @@ class Candidate:
     slower : Trajectory or None
         Solution of the mission with a longer duration, if that was solved.
     shortest : Solution or None
-        Solution of the mission in the least duration, if that was solved.
+        Solution with the least duration in which the mission can be flown within its limits, if
+        the method `find_shortest` found one.
     failure : Failure or None
         Reason why all strategies failed.
     flown : Plan or None
@@ -422,7 +423,16 @@ class Candidate:
         return None if self.slower is None else self._retried(self.slower)
 
     def find_shortest(self) -> str:
-        """Solve for the least duration of the mission; return it as text, such as "12.3 s"."""
+        """Solve for the least duration in which the mission can be flown within its limits.
+
+        The objective of this solve is the duration instead of the energy. Its solution becomes the
+        attribute `shortest`, which is None if the solve failed.
+
+        Returns
+        -------
+        str
+            The least duration as text, such as "12.3 s", or "none found" if the solve failed.
+        """
         mission = self.mission
         model = mission.problems.builder(mission.told)
         self.shortest = shortest_flight(model, mission.told, self.search)
@@ -431,7 +441,9 @@ class Candidate:
     def has_shorter(self) -> bool:
         """Return whether the mission's solve failed although its duration is long enough.
 
-        The duration is long enough if it is not below the least duration found by `find_shortest`.
+        The mission's duration, or the greatest duration that the mission allows if the duration is
+        free, is compared with the least duration that the method `find_shortest` found. It is long
+        enough if it is not below that least duration. If none was found, the result is False.
         """
         longest = self.mission.told.mission.longest.value
         found = self.shortest
@@ -440,10 +452,13 @@ class Candidate:
     def from_shortest(self) -> str | None:
         """Solve the failed mission again, starting from the solution of least duration.
 
+        The method `find_shortest` computes that solution, which minimises the duration of the
+        mission instead of its energy.
+
         Returns
         -------
         str or None
-            The solver's status; None if there is no such solution.
+            The solver's status; None if `find_shortest` found no solution.
         """
         if self.shortest is None:
             return None
@@ -469,13 +484,19 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The status of the solution becomes "infeasible" if the mission's duration is below the least
-        duration. It also becomes "infeasible" if the solution of the elastic problem, which
-        minimises the violation of the mission's limits, still violates a limit. In both cases the
-        status is "not converged" instead if another result suggests that the mission is possible,
-        such as a feasible flight on a coarse mesh. The elastic problem alone is no proof if other
-        routes may be possible, because the elastic problem is only solved near the best iterate of
-        one failed solve.
+        The attribute `failure` becomes the record of the reasons, and the status of the solution
+        becomes "infeasible" or "not converged". Without a diagnosis, nothing changes.
+
+        There are two reasons for the status "infeasible". The first is that the mission's duration
+        (the greatest one, if it is free) is below the least duration that `find_shortest` found.
+        The second is that the solution of the elastic problem, which minimises the violation of the
+        mission's limits, still violates a limit. The second reason does not count if
+        `find_shortest` found a flight that is no longer than the mission allows.
+
+        The status is "not converged" without such a reason. It is also "not converged" if, in
+        spite of the reason, the mission may be possible: because a flight on a coarse mesh kept all
+        limits, or because another route through a wind field may exist. The elastic problem cannot
+        exclude another route, because it is only solved near the best iterate of one failed solve.
         """
         if self.diagnosis is None:
             return
@@ -556,9 +577,11 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        This is the case if the solve converged but its simulated flight is not verified (see
-        `is_astray`), and if the scenario requires an accuracy below the highest level, `proof`. At
-        the highest level, limits are not made stricter, because this costs energy.
+        The result is True if two conditions hold. The first is that the method `is_astray` returns
+        True: the solve converged, but the simulated flight did not confirm the plan, and the
+        battery is not the reason. The second is that the scenario requires an accuracy below the
+        highest level, which is named `proof`. At the highest level, limits are not made stricter,
+        because this costs energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
@@ -605,8 +628,11 @@ class Candidate:
     def is_astray(self) -> bool:
         """Return whether the simulated flight deviates from the plan although the solve converged.
 
-        A finer mesh may help in this case. The result is False if the battery cannot supply the
-        simulated flight, because a finer mesh does not help then.
+        The flight deviates if it does not confirm the plan within the requested tolerances, for
+        example because it misses the required final state, breaks a limit, or needs another energy
+        than the plan. A finer mesh may help in this case. The result is False if the battery cannot
+        supply the simulated flight, because a finer mesh does not help then. It is also False after
+        the time limit of the command.
         """
         plan = self.flown
         is_over = self.search.deadline.is_over
@@ -626,8 +652,8 @@ class Candidate:
         Returns
         -------
         str or None
-            The attribute `tolerance` of the new solve, as text; None if the solve does not
-            converge.
+            Tolerance of the mesh refinement in the new solve, as text such as "tolerance 1e-07";
+            None if the new solve does not converge.
         """
         found, asked = self.found, self.scenario.solver.accuracy
         plan, figures = self.plan, FIGURES[asked]

@@ -368,8 +368,9 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
     Returns
     -------
     float
-        Rate r: ``gain * error`` for small errors, the square root of ``acceleration_max * error``
-        for large ones.
+        Rate r, in the unit of the error per s and with the sign of the error. For small errors it
+        is ``gain * error``. For large errors, its absolute value is the square root of
+        ``acceleration_max * abs(error)``.
 
     Notes
     -----

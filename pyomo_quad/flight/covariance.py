@@ -92,7 +92,7 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     plan : Plan
         Plan that the adaptive controller follows.
     planner : Planner
-        Planner that has compiled the equations.
+        Planner that compiles the equations of the vehicle in turbulence.
 
     Returns
     -------

@@ -132,12 +132,20 @@ class Ending:
 
     @property
     def has_succeeded(self) -> bool:
-        """Whether the simulated flight reached its goal and broke no limit of the mission."""
+        """Whether the simulated flight reached its goal and broke no limit.
+
+        The limits are those of the model, of the waypoints, of the arrival (distance from the goal
+        and speed at the end) and of the battery. The attribute `broken` has every broken limit.
+        """
         return not self.broken
 
     @property
     def has_arrived(self) -> bool:
-        """Whether the simulated flight ended at its goal and at rest."""
+        """Whether the simulated flight ended at its goal and at rest.
+
+        That is so if, at the end, the distance from the goal is at most the constant
+        `ARRIVAL_DISTANCE_M` [m] and the speed at most the constant `ARRIVAL_SPEED_M_PER_S` [m/s].
+        """
         return NOT_THERE not in self.broken and NOT_AT_REST not in self.broken
 
 

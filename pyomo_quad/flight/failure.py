@@ -22,10 +22,12 @@ class Failure:
         The duration that the mission prescribes, or the greatest duration that it allows if the
         duration is free, with the name of the scenario field that holds the value.
     shortest_duration_s : float or None
-        The least time in which the mission can be flown within its limits; None if none was found.
+        The least duration in which the mission can be flown within its limits, found by a solve
+        that minimises the duration; None if there was no such solve or it failed.
     diagnosis : Diagnosis
-        Diagnosis by the collocation engine: worst equations, active limits, and components of the
-        model whose limits must all be relaxed together.
+        Diagnosis of the failed solve: the equations with the largest residuals, the active limits,
+        and the components of the Pyomo model whose limits must be relaxed, all of them together, to
+        make the mission feasible.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     doubt : str
@@ -41,7 +43,12 @@ class Failure:
 
     @property
     def is_too_short(self) -> bool:
-        """Whether the mission's duration is shorter than the least duration that was found."""
+        """Whether the mission's duration is shorter than the least possible duration.
+
+        If the mission's duration is free, the greatest duration that the mission allows is compared
+        instead. The least possible duration is the attribute `shortest_duration_s`; the result is
+        False if this attribute is None.
+        """
         return (
             self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
         )

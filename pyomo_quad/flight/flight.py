@@ -111,7 +111,8 @@ class Flight(Summarised):
         Whether a second, independent integration confirmed the flight, and the battery supplies the
         required power throughout.
     wall_s : float
-        Computing time of the simulation, or of the plan [s].
+        Computing time [s]. For the flight of a plan (the method `Plan.flight`) it is the time to
+        compile, solve and verify the plan; for any other flight, the time of the simulation.
     owed_energy_J : float
         Energy needed to reach the required final state from the flight's final state [J], estimated
         from the costates of a plan. It is NaN without a plan, or if the plan was made for another
