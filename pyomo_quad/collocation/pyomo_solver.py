@@ -1,7 +1,8 @@
-"""The collocation engine as a Pyomo solver: ``SolverFactory("pyomo_quad").solve(model)``.
+"""Pyomo solver for optimal control problems: ``SolverFactory("pyomo_quad").solve(model)``.
 
 The solver accepts a continuous model, a model that `pyomo.dae` has discretised already, and a model
-without time (a plain nonlinear program).
+without time (a plain nonlinear program). A continuous model is transcribed by Radau collocation
+with mesh refinement. Ipopt solves the nonlinear programs.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ _BY_CODE = {
     "pyomo_quad", doc="Flipped-Radau collocation with mesh refinement, solved with Ipopt"
 )
 class PyomoSolver:
-    """Pyomo's solver interface to the collocation engine.
+    """Pyomo's solver interface to this package's Radau collocation with mesh refinement and Ipopt.
 
     Parameters
     ----------
@@ -143,8 +144,9 @@ class PyomoSolver:
         -------
         SolverResults
             In the form that every Pyomo solver returns, for example for
-            `assert_optimal_termination`. Its attribute `solution_on_mesh` is the engine's
-            `Solution`.
+            `assert_optimal_termination`. The additional attribute `solution_on_mesh` has the
+            trajectories and multipliers on the final mesh: a `Solution`, or a `JointSolution` for
+            a model with several continuous sets.
 
         Raises
         ------

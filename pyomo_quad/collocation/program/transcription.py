@@ -377,7 +377,13 @@ class Transcription:
         return self._sign * self.user_objective(z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the values of the constraints at the unknowns `z`, shape (n_rows,)."""
+        """Return the values of all constraints of the program at the unknowns `z`.
+
+        The result is a vector with one value per constraint: the path equations, collocation point
+        by collocation point, then the conditions (constraints at declared times, the members of the
+        continuous set), then the constraints that each make a static variable (a variable without
+        time) equal to an integral.
+        """
         n = self.compiled.n_equations
         conditions = self._point[0](self.point_variables(z), self._point_data)[0][0, :-1]
         integrals = self.integrals(z)
@@ -419,7 +425,7 @@ class Transcription:
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the nonzeros of the constraints' Jacobian at the unknowns `z`.
 
-        Their order is that of `jacobianstructure`.
+        The nonzeros are in the order of the indices that the method `jacobianstructure` returns.
         """
         return self._jacobian.rows.values(self._derivative_sources(z))
 
@@ -433,9 +439,10 @@ class Transcription:
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
 
-        The objective is the one to minimise. The nonzeros are those of the lower triangle at the
-        unknowns `z`, in the order of `hessianstructure`. `multipliers` has one value per
-        constraint.
+        The Hessian is taken with respect to the unknowns, at their values `z`. `factor` multiplies
+        the objective to minimise, and `multipliers` has one value per constraint. The nonzeros are
+        those of the lower triangle, in the order of the indices that the method `hessianstructure`
+        returns.
         """
         factor = self._sign * factor
         path = np.zeros(0)

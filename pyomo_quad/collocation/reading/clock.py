@@ -225,8 +225,9 @@ def free_times(
 def _only(sets: tuple[Any, ...], argument: str) -> Any:
     """Return the only continuous set; raise an error if there are none or several.
 
-    `sets` are the continuous sets of the model. `argument` is the name of the argument, given by
-    the user, that requires a single set, for the message.
+    `sets` are the continuous sets of the model. `argument` is the text ``final_time`` or ``times``,
+    with which the error message starts: an argument of that name, which the user gave, requires a
+    model with a single continuous set.
     """
     if not sets:
         raise TranscriptionError(

@@ -204,11 +204,12 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete components over time for which Pyomo cannot make a member at an added time.
+    """Delete components over time for which Pyomo cannot make a member at the template time.
 
-    The deletion does not change the nonlinear program. Among the deleted components, only active
-    blocks and active objectives would contribute to the program. A model with an active block or
-    objective over time does not come this far, because an earlier check raises an error for it.
+    The template time is an interior time that is added to the continuous set, to read the equations
+    over time there. The deletion does not change the nonlinear program: among components of these
+    types, only active blocks and active objectives would contribute to the program, and for active
+    blocks and objectives over time an earlier check has raised an error.
 
     `copy` is the clone of the user's model from which the components are deleted, and `time` is the
     continuous set that indexes them.
@@ -239,7 +240,7 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
-    """Raise an error for declarations that the engine cannot transcribe.
+    """Raise an error for declarations that cannot be transcribed to a nonlinear program.
 
     These are components of unknown types, integer variables, blocks and objectives indexed by time,
     and derivatives of higher order. `model` is the user's model, and `times` are its continuous
@@ -274,7 +275,7 @@ def _keep_parameters(copy: Any, time: Any) -> None:
     """Make immutable parameters over time mutable, so that expressions contain their symbols.
 
     In a Pyomo expression, an immutable parameter appears as its number, but a mutable parameter
-    appears as a symbol. The engine can translate the symbol to a function of time.
+    appears as a symbol. The symbol can be translated to a function of time.
 
     `copy` is the clone of the user's model that is changed, and `time` the continuous set by which
     the parameters are indexed.
@@ -292,8 +293,8 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     """Clone a model and add one interior time, the template time, to each of its continuous sets.
 
-    The engine reads the equations over time at the template time. `model` is the user's model; it
-    is not changed.
+    The equations over time are read at the template time: the members of the constraints at this
+    time serve as templates for all times. `model` is the user's model; it is not changed.
 
     Returns
     -------
@@ -304,7 +305,7 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Raises
     ------
     TranscriptionError
-        If the model declares something that the engine cannot transcribe.
+        If the model declares something that cannot be transcribed to a nonlinear program.
     """
     copy = model.clone()
     transfer_rules(model, copy)

@@ -248,8 +248,9 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
     """Sum the terms of a spline's value and derivatives along some axes.
 
     In a grid cell, a spline is a sum of the cell's coefficients, each multiplied by one factor per
-    axis (see `_weights`). This function multiplies by the factors of the given axes, and sums the
-    products over these axes.
+    axis. The factor is a function of the coordinate along the axis: a power of the local coordinate
+    in the cell, or a B-spline basis function. This function multiplies by the factors of the given
+    axes, and sums the products over these axes.
 
     Parameters
     ----------
@@ -259,7 +260,8 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
         item for the key is a CasADi column of partial sums. The column has one entry for each
         combination of the coefficients along the axes that are not summed yet.
     weights : sequence of casadi.SX or casadi.MX
-        For each axis, the matrix of factors and their derivatives that `_weights` describes.
+        For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
+        the factor's value, first and second derivative.
     axes : iterable of int
         The axes to sum over, in rising order. Among the axes that are not summed yet in `parts`,
         these must be the last ones.
@@ -289,11 +291,12 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
     """Return a CasADi function that completes the sums for value, gradient and Hessian.
 
-    The value and each derivative of a spline at a point are sums, over all axes, of a cell's
-    coefficients times their factors (see `_contracted`). The returned function sums over the first
-    two axes (or the only axis); `_contracted` has summed over the other axes before. The returned
-    function consists of scalar operations, which take less time for few numbers than products of
-    matrices.
+    The value of a spline at a point is a sum, over all axes, of a cell's coefficients, each
+    multiplied by one factor per axis. The factor is a power of the local coordinate in the cell, or
+    a B-spline basis function. A derivative of the spline is the same sum with derivatives of the
+    factors. The returned function sums over the first two axes (or the only axis); its caller sums
+    over the other axes before, with the function `_contracted`. The returned function consists of
+    scalar operations, which take less time for few numbers than products of matrices.
 
     Parameters
     ----------
@@ -308,8 +311,9 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
     -------
     casadi.Function
         (the sums over the other axes as one column, then for each of the first two axes the matrix
-        of factors that `_weights` describes) -> column of value, gradient and upper triangle of the
-        Hessian.
+        of its factors) -> column of value, gradient and upper triangle of the Hessian. A matrix of
+        factors has the shape (degree + 1, 3): one row per factor, with the factor's value, first
+        and second derivative.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left

@@ -132,8 +132,8 @@ class RelationReader:
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
         """Raise an error for a constraint without a rule if its members differ in time only.
 
-        Such a constraint is probably meant for all times, but without a rule the engine can impose
-        it at the declared times (the members of the continuous set) only. `component` is the
+        Such a constraint is probably meant for all times, but without a rule it can be
+        imposed at the declared times (the members of the continuous set) only. `component` is the
         constraint, and `instances` are its members, one at each declared time.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
@@ -147,8 +147,8 @@ class RelationReader:
 
         A declared time is a member of the continuous set. The error is raised if the list has one
         member per declared time, the members differ in time only, and their variables are algebraic
-        variables. Such a list is probably meant for all times, but the engine would impose it at
-        the declared times only. `component` is the ConstraintList.
+        variables. Such a list is probably meant for all times, but could be imposed at the
+        declared times only. `component` is the ConstraintList.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -276,9 +276,11 @@ class RelationReader:
         return True
 
     def _is_member_alike(self, a: Any, b: Any) -> bool:
-        """Return whether two variables or parameters are members of one component with equal index.
+        """Return whether two members of a component are identical except for their times.
 
-        The times in their indices may differ. `a` and `b` are Pyomo data objects.
+        `a` and `b` are Pyomo data objects of variables or parameters. The result is True if they
+        belong to the same component, and their indices without the time are equal (i for
+        ``x[i, t]``).
         """
         if a is b:
             return True
@@ -384,7 +386,9 @@ class RelationReader:
     def _rates(self) -> Iterator[Slot]:
         """Yield the derivatives with respect to time, with their bounds, as `Slot` objects.
 
-        A `Slot` represents one member of a component for all times.
+        A `Slot` describes a scalar variable of the model as a function of time, here the derivative
+        of one state. It has the name, the index without the time (i for ``x[i, t]``) and the bounds
+        of the variable.
         """
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
@@ -414,10 +418,10 @@ class RelationReader:
                 )
 
     def _fixing_condition(self, data: Any) -> PointCondition:
-        """Return the constraint by which an algebraic variable equals its value fixed at one time.
+        """Return the constraint that makes an algebraic variable equal a given value at one time.
 
-        `data` is the fixed member of the variable at that time. The value is a parameter in the
-        constraint.
+        The user fixed the variable to the value at this time. `data` is the fixed member of the
+        variable, a Pyomo data object. The value is a parameter in the constraint.
         """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -450,8 +454,7 @@ def read_declarations(
         Static variable of the model that becomes the end of the horizon.
     times : mapping, optional
         Free times, which the solve determines: declared time (a member of the continuous set) ->
-        static variable that gives the physical time. The argument `times` of the class
-        `Problem` sets it.
+        static variable (a variable without time) that gives the physical time.
 
     Returns
     -------
@@ -619,12 +622,15 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of the variables that equations without time derivatives determine.
 
-        These are states and derivatives in space. A state in the result needs no differential
-        equation; an example is the boundary value of a variable that is discretised in space. The
-        discretisation adds one equation for each derivative in space. An equation determines at
-        most one state or one derivative in space. Derivatives in space are assigned to equations
-        too, so that an equation that the discretisation added does not count as one that determines
-        a state.
+        A state that such an equation determines needs no differential equation; an example is the
+        boundary value of a variable that is discretised in space. Each equation can determine one
+        of the variables in it. A maximum bipartite matching therefore assigns the variables to
+        different equations, and the result has the names of all variables with an equation.
+
+        The variables are the given states and the derivatives in space. The discretisation in space
+        adds one equation for each derivative in space. Derivatives in space take part in the
+        matching, and come first, so that they use up the added equations: an added equation then
+        does not count as one that determines a state.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of the symbols in it.
@@ -646,7 +652,8 @@ class ModelReader:
     def _derivative_name(self, state: Slot) -> str:
         """Return the name of the time derivative of a state, for messages.
 
-        The name is the name of the Pyomo component, with the index of the state.
+        The name is that of the Pyomo DerivativeVar of the state, followed by the state's index
+        without the time. `state` is the state.
         """
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             if derivative.get_state_var().name == state.component:

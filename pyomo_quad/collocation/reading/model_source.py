@@ -1,4 +1,8 @@
-"""Sources of a problem's numbers: the user's Pyomo model, or the values in a pickle."""
+"""Sources of the values of parameters and variables: a Pyomo model, or a copy for pickling.
+
+A compiled problem reads these values when it is solved. The source is the user's Pyomo model, or,
+in a problem that was pickled, a copy of the values that the model had when it was pickled.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +115,10 @@ def declared_magnitudes(model: Any) -> dict[str, float]:
 
 
 class LiveModel:
-    """The user's Pyomo model as a source of numbers, with the values that it has at each call.
+    """The user's Pyomo model as the source of the values of parameters and variables.
+
+    Each method reads the value that the model has when the method is called, or writes solved
+    values into the model.
 
     Parameters
     ----------
@@ -247,9 +254,9 @@ class LiveModel:
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
         """Return the Pyomo data object of a variable or parameter.
 
-        `component` is the Pyomo variable or parameter, and `slot` one of its members for all times.
-        `time` is the declared time (member of the continuous set) of the data object, None for a
-        variable or parameter without time.
+        `component` is the Pyomo variable or parameter. `slot` gives the index without the time (i
+        for ``x[i, t]``). `time` is the declared time (member of the continuous set) of the data
+        object, None for a variable or parameter without time.
         """
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
@@ -338,7 +345,7 @@ class LiveModel:
         over_time: Mapping[str, Callable[[float], float]],
         once: Mapping[str, float],
     ) -> None:
-        """Write sensitivities of constraints or variables into a Pyomo suffix.
+        """Write the given sensitivities of constraints or of variables into a Pyomo suffix.
 
         A sensitivity is the derivative of the objective with respect to a constraint, bound or
         state.
@@ -346,8 +353,9 @@ class LiveModel:
         Parameters
         ----------
         suffix : Suffix
+            Suffix of the user's model that receives the sensitivities.
         kind : type
-            Constraint or Var.
+            Type of the Pyomo components to which the sensitivities belong: Constraint or Var.
         over_time : mapping
             Sensitivities over time: name without the time -> function of time, which is called with
             members of the continuous set.

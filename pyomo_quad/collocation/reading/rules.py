@@ -100,8 +100,8 @@ def initial_rule_of(variable: Any) -> Any:
 def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Raise an error for rules that fail at the template time, which the model does not declare.
 
-    The template time is an interior time that the engine adds to a continuous set, to read the
-    equations over time there. Pyomo takes a `KeyError` in a rule as a request to skip the member.
+    The template time is an interior time that is added to a continuous set, to read the equations
+    over time there. Pyomo takes a `KeyError` in a rule as a request to skip the member.
     Without this check, a constraint whose rule fails in this way at the template time would be
     missing from the nonlinear program without notice.
 
@@ -130,8 +130,8 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    The engine reads an equation over time from its rule, so it would overlook a member that was
-    changed by `set_value` after the rule ran.
+    Equations over time are read by calling the rule again. A member that the user changed with
+    Pyomo's method `set_value`, after the rule had made the member, would thus be overlooked.
 
     `copy` is the clone of the user's model. Its constraints and named expressions with a rule are
     checked.

@@ -1,10 +1,10 @@
 """Rules that branch on time, as data over time for compiled equations.
 
 A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
-The engine calls the rule at many times and sorts the returned expressions into forms: expressions
-that differ in their numbers only have the same form. Each form is compiled once. The choice of the
-form that applies at a time, and the numbers that differ, are data of every collocation point.
-Bisection finds the times at which these data jump.
+Therefore this module calls the rule at many times and sorts the returned expressions into forms:
+expressions that differ in their numbers only have the same form. Each form is compiled once. The
+choice of the form that applies at a time, and the numbers that differ, are data of every
+collocation point. Bisection finds the times at which these data jump.
 
 For pickling, piecewise polynomials between these jumps replace the functions of time, so that the
 functions can be evaluated without the rules of the model.

@@ -1,8 +1,10 @@
 """CasADi symbols of a Pyomo model's components, and the model as expressions of these symbols.
 
-The engine reads equations over time at a single interior time, the template time, which is added to
-the continuous set of a clone of the model. The members of constraints at that time hold for all
-times. Declared times are the members of the continuous set that the user gave it.
+A Pyomo constraint over time has one member for each time in the continuous set. To translate the
+constraint into one equation that holds at all times, an interior time is added to the continuous
+set of a clone of the model: the template time. The member of the constraint at the template time is
+translated to CasADi, and the resulting equation is imposed at every collocation point. Declared
+times are the members that the continuous set has in the user's own model.
 """
 
 from __future__ import annotations
