@@ -629,8 +629,8 @@ class ModelReader:
 
         The variables are the given states and the derivatives in space. The discretisation in space
         adds one equation for each derivative in space. Derivatives in space take part in the
-        matching, and come first, so that they use up the added equations: an added equation then
-        does not count as one that determines a state.
+        matching, so that an added equation is assigned to its derivative in space and does not
+        count as one that determines a state.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of the symbols in it.
