@@ -52,8 +52,9 @@ class FirstSolve(Search[S], Generic[S]):
         `start` is a guess or a warm start, `options` are settings of Ipopt, and `is_scaled` is
         whether Ipopt solves the scaled program.
     finish : callable
-        Function (solve, mesh, start) -> solution, on refined meshes if a tolerance is given. Its
-        argument `solve` is a function that solves on one mesh, such as the attribute `solve`.
+        Function (solve, mesh, start) -> solution. If the caller gave a tolerance, `mesh` is refined
+        until the tolerance is met, and the solution is that on the last mesh. The argument `solve`
+        is a function that solves on one mesh, such as the attribute `solve`.
     judge : callable
         Takes a failed solution and minimises the constraint violation (elastic program); returns
         the solution with a message that names the equations which cannot be satisfied together.
@@ -101,12 +102,13 @@ class FirstSolve(Search[S], Generic[S]):
         return self.first
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition `fact` of a strategy is true at this stage of the search.
+        """Return whether the condition `fact` is true at this stage of the search.
 
-        This class evaluates two conditions: whether the feasibility of the failed solve's problem
-        has been examined (`Fact.JUDGED`), and whether that examination has not found the problem
-        infeasible (`Fact.POSSIBLE`). For any other condition the result is False; the subclass for
-        one horizon evaluates more of them.
+        A strategy has such conditions, and is tried only if all of them are true. This class
+        evaluates two conditions: whether the feasibility of the problem has been examined after the
+        failed solve (`Fact.JUDGED`), and whether, in addition, this examination has not found the
+        problem infeasible (`Fact.POSSIBLE`). For any other condition the result is False; the
+        subclass for one horizon evaluates more conditions.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -150,8 +152,8 @@ class FirstSolve(Search[S], Generic[S]):
         Returns
         -------
         Solution, JointSolution or None
-            Result, on refined meshes if a tolerance is given. None, from a subclass, if the problem
-            has no initial point of this kind.
+            Result; if the caller gave a tolerance, the result on the last of the refined meshes. A
+            subclass returns None if the problem has no initial point of this kind.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -214,9 +216,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_mesh_free: bool
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition `fact` of a strategy is true at this stage of the search.
+        """Return whether the condition `fact` is true at this stage of the search.
 
-        This class evaluates five conditions:
+        A strategy has such conditions, and is tried only if all of them are true. This class
+        evaluates five conditions:
 
         - `Fact.ONE_HORIZON`: the problem has one horizon only, which is always true here;
         - `Fact.OVERDETERMINED`: the model has more equations than free unknowns, and nothing has
@@ -266,9 +269,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         Returns
         -------
         Solution or None
-            Result, on refined meshes if a tolerance is given. None if the problem has no initial
-            point of this kind; for `First.REDUCED` also if the solve fails, or if its solution
-            violates a condition that was left out.
+            Result; if the caller gave a tolerance, the result on the last of the refined meshes.
+            None if the problem has no initial point of this kind; for `First.REDUCED` also if the
+            solve fails, or if its solution violates a condition that was left out.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))

@@ -47,9 +47,11 @@ if TYPE_CHECKING:
 
 
 class WrittenComponents:
-    """Model components over time as CasADi expressions, which pickle without the Pyomo model.
+    """Model components over time as CasADi expressions, available without the Pyomo model.
 
-    A substitute for `TemplateWriter`, which translates components of a live Pyomo model on demand.
+    An object of this class replaces a `TemplateWriter` in a problem that is restored from a pickle.
+    A `TemplateWriter` translates components on demand and needs the Pyomo model, which a pickle
+    does not contain. This class holds the finished translations of all components.
 
     Parameters
     ----------
@@ -687,11 +689,14 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
     The structural index is the number of times by which the equations must be differentiated to
-    obtain an ODE; it is 0 for an ODE. The result is also 0 where the method does not apply: there
-    are no equations, more equations than variables, or no assignment of equations to variables.
-    Controls count as unknowns, like all algebraic variables. An equation that contains states only
-    therefore raises the index, even if controls drive these states. `declared` are the declarations
-    of the model, with its equations. Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
+    obtain an ODE; it is 0 for an ODE. The index is also returned as 0 in three cases in which the
+    method does not apply: the model has no equations over time; it has more equations than
+    variables; or no assignment gives each equation a variable of its own that the equation
+    contains. Controls count as unknowns, like all algebraic variables. An equation that contains
+    states only therefore raises the index, even if controls influence these states through other
+    equations. `declared` are the declarations of the model, with its equations.
+
+    Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
     names = [s.name for s in (*declared.states, *declared.algebraics)]

@@ -113,8 +113,9 @@ def first_point(
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
     The function `initial_point` interpolates a point between known values. The states of this point
-    are then moved until they satisfy the equations that contain states alone. If an equation is not
-    finite at the moved point, the algebraic variables are adjusted, too.
+    are then moved until they satisfy the equations that contain states alone. If a constraint or a
+    derivative is NaN at the moved point, the function `with_consistent_algebraics` also changes the
+    algebraic variables, so that the equations nearly hold at each collocation point.
 
     Parameters
     ----------

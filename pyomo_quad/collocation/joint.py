@@ -114,16 +114,21 @@ class JointSolution(Outcome):
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """Warm start for another solve: one part per horizon, and one for the coupling.
+        """Warm start for another solve: one part per horizon, and a last part for the coupling.
 
-        The coupling consists of the objective, and of the constraints on several horizons or on no
+        Each part holds values of variables and multipliers of constraints. The last part has the
+        variables that belong to no horizon, and the constraints on several horizons or on no
         horizon.
         """
         return tuple(part.warm_start for part in (*self.horizons.values(), self.coupling))
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about a converged solution, one line each, with the name of the horizon."""
+        """Warnings about a converged solution, one line each, with the name of the horizon.
+
+        An example is a Hamiltonian that varies over a horizon although no equation depends on time.
+        There are no warnings if the solve did not converge.
+        """
         found = ((name, line) for name, p in self.horizons.items() for line in p.warnings)
         return tuple(f"{name}: {line}" for name, line in found)
 
@@ -273,12 +278,14 @@ class JointProblem(Summarised):
         starts: int = 1,
         progress: Progress | None = None,
     ) -> JointSolution:
-        """Solve on given meshes, or refine each mesh until the estimated errors meet a tolerance.
+        """Solve on given meshes, or refine the meshes until the estimated errors meet a tolerance.
 
         Parameters
         ----------
         mesh : Mesh or mapping, optional
             A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
+            If no `tolerance` is given, the meshes are not refined; otherwise they are the initial
+            meshes of the refinement.
         guess : mapping, optional
             Initial values by the name of a variable: a function of time, a constant, or samples at
             the times under the key "time". A key may also be the name of a continuous set. The
@@ -289,7 +296,7 @@ class JointProblem(Summarised):
         horizon, starts
             Not supported for several horizons: other values than `None` and 1 raise an error.
         tolerance : float, optional
-            Required relative error of the states; default 1e-6 if no mesh is given.
+            Required relative error of the states on all horizons; default 1e-6 if no mesh is given.
         parameters : mapping, optional
             New values of mutable parameters, by component or full name; a function of time for a
             parameter over time.
@@ -381,6 +388,11 @@ class JointProblem(Summarised):
 
         `mesh` is the user's argument: one mesh for all horizons, a mapping from the names of the
         horizons to meshes, or None, for which the list contains None for each horizon.
+
+        Raises
+        ------
+        TranscriptionError
+            If the names in the mapping are not exactly those of the horizons.
         """
         if mesh is None or isinstance(mesh, Mesh):
             return [mesh] * len(self.horizons)
@@ -475,12 +487,17 @@ class JointProblem(Summarised):
         progress : callable or None
             Called at each iteration; returning False stops the solve.
         is_scaled : bool, default True
-            Whether Ipopt solves the scaled program; otherwise the program as declared.
+            Whether Ipopt solves the scaled program; if False, Ipopt solves the unscaled program.
         change : float, optional
             Expected difference between the objective and its value at the warm start, in the unit
             of the objective. The expected difference determines the initial barrier parameter.
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
+
+        Returns
+        -------
+        JointSolution
+            Result on these meshes, converged or failed.
         """
         parts = self._parts
         chosen = [

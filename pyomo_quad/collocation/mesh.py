@@ -37,12 +37,12 @@ class RadauRule:
     nodes : ndarray, shape (d + 1,)
         0 and the collocation points, at which a state has values.
     differentiation : ndarray, shape (d, d + 1)
-        Matrix from values at the nodes to slopes of the polynomial at the collocation points.
+        Matrix that maps a polynomial's values at the nodes to its slopes at the collocation points.
     slope_at_start : ndarray, shape (d + 1,)
-        Weights of the values at the nodes in the slope of the polynomial at 0.
+        Row vector that maps a polynomial's values at the nodes to its slope at 0.
     integration : ndarray, shape (d, d)
-        Matrix from slopes at the collocation points to the changes of the polynomial between 0 and
-        each point.
+        Matrix that maps a polynomial's slopes at the collocation points to the changes of the
+        polynomial between 0 and each collocation point.
     """
 
     degree: int

@@ -199,7 +199,9 @@ class Problem(Summarised, Formulation):
         starts: int,
         instance: Instance,
     ) -> Solution:
-        """Solve from one starting point (warm start or guess), with mesh refinement if required.
+        """Solve from a warm start or guess, with mesh refinement if a tolerance is given.
+
+        Random initial points may be tried first, on the first mesh only (see `starts`).
 
         Parameters
         ----------
@@ -216,10 +218,10 @@ class Problem(Summarised, Formulation):
         mesh : Mesh or None
             Initial mesh; None if the caller gave none.
         starts : int
-            Number of initial points: `start`, and `starts` - 1 random points. If `starts` is above
-            1, the program on the first mesh is solved from each of these points. The best optimum
-            then replaces `start` as the starting point of the solve; `start` is kept if no optimum
-            was found.
+            Number of initial points on the first mesh: `start`, and `starts` - 1 random points. If
+            `starts` is above 1, the program on the first mesh is solved from each of these points.
+            The best optimum then replaces `start` as the warm start of the actual solve; `start` is
+            kept if no optimum was found.
         instance : Instance
             Parameter values, horizon and fixed variables of this solve.
 
@@ -368,7 +370,7 @@ class Problem(Summarised, Formulation):
         options : SolverOptions
             Settings of Ipopt.
         is_scaled : bool, default True
-            Whether Ipopt solves the scaled program; otherwise the program as declared.
+            Whether Ipopt solves the scaled program; if False, Ipopt solves the unscaled program.
         is_gap_reduced : bool, default False
             Whether to continue until the complementarity gap (the sum of multipliers times slacks)
             is negligible relative to the objective.
@@ -378,8 +380,9 @@ class Problem(Summarised, Formulation):
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
-            Allowed violation of bounds between collocation points, relative to max(1, abs(bound)).
-            If finite, a solve with a warm start also bounds the variables between the points.
+            Allowed violation of the variables' bounds between the collocation points, relative to
+            max(1, abs(bound)). If it is finite and `start` is a warm start, additional constraints
+            of the program keep the variables within this violation between the collocation points.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
@@ -500,13 +503,15 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    The general function `refine` handles several horizons, with tuples of meshes. This function
-    calls it with tuples of length one.
+    The general function `refine` of the module `refining.refinement` solves on refined meshes for
+    several horizons, and takes tuples with one mesh per horizon. This function calls `refine` with
+    tuples of length one.
 
     Parameters
     ----------
     own : callable
-        Solves on one mesh, with the arguments of `Problem.solve_on_mesh`.
+        Function that solves the program on one mesh and returns the solution. Its arguments are
+        those of `Problem.solve_on_mesh` (mesh, start, damping and further settings).
     mesh : Mesh
         Initial mesh.
     start : Start
@@ -589,8 +594,8 @@ def load_values(*solutions: Solution) -> None:
 
     Each solution covers one horizon (continuous set) of the model, or the variables of no horizon.
     Values are loaded into static variables (variables without time), into variables and derivatives
-    over time at the declared times (the members of the continuous sets), into integrals, and into
-    imported suffixes.
+    over time at the declared times (the members of the continuous sets), into the components of the
+    type `pyomo.dae.Integral`, and into imported suffixes.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

@@ -42,9 +42,9 @@ class BernsteinRule:
     The values of a state are those at the element's left end and at its collocation points; the
     values of an algebraic variable are those at the collocation points only. The last collocation
     point is the element's right end. The first coefficient is the polynomial's value at the left
-    end of the element, and the last coefficient its value at the right end. Where this value is an
-    unknown of the program, it has bounds already, and the coefficient is left out. Left out are
-    therefore the first and the last coefficient of a state, and the last coefficient of an
+    end of the element, and the last coefficient is the value at the right end. A coefficient that
+    equals an unknown of the program has the bounds of this unknown already, and is left out. Left
+    out are therefore the first and the last coefficient of a state, and the last coefficient of an
     algebraic variable.
 
     Attributes

@@ -317,16 +317,25 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program, given the magnitudes of its unknowns.
 
-    The largest scaled derivative of each constraint becomes about 1 at the point `z`. The larger of
-    the scaled objective and its largest scaled derivative becomes 1.
+    The factor of an unknown is the inverse of its magnitude. The factor of a constraint is chosen
+    so that the constraint's largest absolute derivative, with respect to the scaled unknowns,
+    becomes about 1 at the point `z`. The factor of the objective makes the larger of two numbers 1
+    at `z`: the absolute value of the scaled objective, and the largest absolute derivative of the
+    scaled objective. If the gradient of the objective is zero at `z`, the factor is 1.
 
     Parameters
     ----------
     program : NonlinearProgram
+        Program to be scaled.
     nominal : ndarray, shape (n_unknowns,)
         Magnitude of each unknown.
     z : ndarray, shape (n_unknowns,)
-        Point at which the derivatives are evaluated.
+        Point at which the objective and the derivatives are evaluated.
+
+    Returns
+    -------
+    Scaling
+        Factors of the objective, the unknowns and the constraints.
     """
     largest, beside = (_largest_slopes(program, nominal, at) for at in (z, z + _BESIDE * nominal))
     with np.errstate(invalid="ignore"):
@@ -457,12 +466,14 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 
 
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
-    """Return whether the equations are linear and have no solution.
+    """Return whether a program's equations are linear and have no solution.
 
-    The equations are the constraints with equal bounds. They are linearised at the unknowns `z`,
-    and a least-squares step of the free unknowns (unknowns with unequal bounds) is computed. The
-    equations are linear if the full step leaves exactly the predicted residual, and contradictory
-    if this residual is not zero.
+    The equations are the constraints of `program` that have equal lower and upper bounds in
+    `bounds`. The equations are linearised at the unknowns `z`. The step of the free unknowns
+    (unknowns with unequal bounds) is computed that minimises the sum of squared residuals of the
+    linearised equations. The equations count as linear if, after this step, the residuals of the
+    equations themselves equal those of the linearised equations. Linear equations have no solution
+    if these residuals are not zero.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
