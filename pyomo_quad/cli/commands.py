@@ -220,7 +220,8 @@ def _flown(
     Parameters
     ----------
     planner : Planner
-        Planner of the command.
+        Planner that makes the plan before the flight and the repeated plans during the flight, and
+        that has the vehicle's equations of motion.
     scenario : Scenario
         Mission and wind.
     controller : Controller

@@ -32,10 +32,28 @@ from pyomo_quad.study.comparison import has_arrived
 
 
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
-    """Plan the flight that is to be simulated; if no flyable plan is found, exit with the reason.
+    """Plan the flight that is to be simulated; end the command if no flyable plan is found.
 
-    A plan is flyable if a simulation of its controls without feedback confirms that it arrives and
-    keeps all limits.
+    A plan is flyable if a simulation of the plan's controls without feedback arrives at the goal
+    and keeps all limits.
+
+    Parameters
+    ----------
+    planner : Planner
+        Planner of the scenario.
+    scenario : Scenario
+        Mission and wind.
+
+    Returns
+    -------
+    Plan
+        A flyable plan.
+
+    Raises
+    ------
+    Exit
+        If the plan is not flyable. The plan's status and message, which give the reason, are then
+        printed to standard error, and the exit status follows from the plan's status.
     """
     plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
@@ -49,17 +67,22 @@ _Outcome = TypeVar("_Outcome")
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
-    """Call a function that simulates flights, and return its result.
+    """Call the function `fly`, which simulates flights, and return the flights.
 
-    The function raises the exception `SolveError` if a flight is impossible. The reason is then
-    printed to standard error, and the command exits.
+    If a flight is impossible, `fly` raises the exception `SolveError`. In this case the message of
+    the exception is printed to standard error, and the command exits.
 
     Parameters
     ----------
     scenario : Scenario
-        Mission, whose name begins the printed line.
+        Scenario of the flights. The printed line begins with the scenario's name.
     fly : callable
-        Function without arguments that simulates and returns the flights.
+        Function without arguments that simulates and returns one flight or several.
+
+    Returns
+    -------
+    flights
+        The object that `fly` returns.
 
     Raises
     ------

@@ -180,10 +180,12 @@ def report_folder(folder: Path) -> Iterator[Path]:
 def _kept(plan: Plan, folder: Path) -> str:
     """Save the best iterate of a stopped solve in a separate folder, if it is nearly feasible.
 
+    The iterate counts as nearly feasible if its relative constraint violation is at most 1e-4.
+
     Parameters
     ----------
     plan : Plan
-        The iterate.
+        The best iterate, as a plan.
     folder : Path
         Report folder of the command; the name of the separate folder is derived from it.
 

@@ -375,19 +375,21 @@ def _parameter_lines(
     parameters: "Sequence[FittedParameter | IdentifiedParameter]",
     together: Sequence[tuple[str, str]],
 ) -> Iterator[str]:
-    """Yield a line to print for each parameter of a fit: value and standard deviation.
+    """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    A parameter that the measurements do not determine keeps the value before the fit, and its line
-    states this. The line of any other parameter states if the value lies at the end of the
-    parameter's permitted range.
+    A parameter that the measurements do not determine keeps the value before the fit. Its line
+    states this, and names the other parameter from which the measurements cannot distinguish it. If
+    the measurements determine a parameter, but its value lies at the end of the permitted range,
+    the line states that.
 
     Parameters
     ----------
     parameters : sequence
         The fitted parameters.
     together : sequence of (str, str)
-        Each parameter that the measurements do not determine, with the parameter whose effect on
-        the power is most similar; "" if no parameter has a similar effect.
+        For each parameter that the measurements do not determine: its name, and the name of the
+        parameter whose effect on the power is most similar. The second name is "" if no parameter
+        has a similar effect; the line then names no other parameter.
     """
     partners = dict(together)
     for one in parameters:

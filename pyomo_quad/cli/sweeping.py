@@ -196,16 +196,18 @@ class _Listener:
         self._show()
 
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
-        """Count a case of the sweep whose result has been stored, and print the progress.
+        """Count a case that has ended, and show the progress of the sweep.
+
+        The sweep calls this method after it has stored the result of the case.
 
         Parameters
         ----------
         case : Case
-            The case.
+            The case that has ended.
         outcome : CaseOutcome
-            Result of the case.
+            Result of this case.
         done : int
-            Number of all cases that have ended, including earlier runs.
+            Number of cases of the sweep that have ended so far, in this run and in earlier runs.
         """
         self.done = done
         self._solved += 1

@@ -146,9 +146,11 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 def _state_of(now: "State") -> str:
     """Return a line on `now`, the present state of a search for a plan, for the progress display.
 
-    The line gives the stage of the search, the energy of the solution on the last mesh, the
-    relative change of this energy from the mesh before, whether a plan that may be flown has been
-    found, the iteration of the solver, the number of mesh points and the processor time.
+    The line gives the stage of the search, the energy of the solution on the last mesh that was
+    solved, the relative change of this energy from the solution on the mesh before, the iteration
+    of the solver, the number of mesh points and the processor time. The line also says "usable" if
+    the search has found a plan that a simulation confirms at lower accuracy than requested; the
+    search returns this plan if the user stops it.
     """
     best = "no energy yet"
     if isfinite(now.energy_J):

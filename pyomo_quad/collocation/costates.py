@@ -42,10 +42,12 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    The multipliers at the collocation points approximate the costates (`stages`), but their order
-    of convergence is lower by 1 than the order of the states. More accurate values (`at_points`)
-    come from integrating the adjoint equations over each element, from its left end, with the
-    multipliers inserted in the right-hand side of these equations.
+    The object has two approximations of the costates at the collocation points. The attribute
+    `stages` is computed directly from the multipliers of the collocation equations; the order of
+    convergence of `stages` is lower by 1 than the order of the states. The attribute `at_points` is
+    more accurate: it is computed by integrating the adjoint equations over each element, from the
+    left end of the element, with the multipliers inserted in the right-hand side of these
+    equations.
 
     Attributes
     ----------
@@ -54,7 +56,7 @@ class Costates:
     starts : ndarray, shape (n_elements, n_states)
         Costates just after the left end of each element, where a costate may jump.
     at_points : ndarray, shape (n_points, n_states)
-        Costates at the collocation points.
+        Costates at the collocation points, from integrating the adjoint equations.
     stages : ndarray, shape (n_points, n_states)
         Costates at the collocation points, directly from the multipliers.
     hamiltonian : ndarray, shape (n_points,)
@@ -226,11 +228,12 @@ def _bound_multipliers(
     """Return the multipliers of the bounds on states at the collocation points.
 
     The result has shape (n_points, n_states). An entry is the multiplier of the upper bound minus
-    the multiplier of the lower bound. It is 0 for a fixed state and for a bound that holds at a
-    single time only, such as an end condition.
+    the multiplier of the lower bound. An entry is 0 where the state is fixed, and where a bound is
+    imposed at a single time only, such as an end condition.
 
-    `program` is the nonlinear program of the problem on one mesh. `multipliers` and `bounds` are
-    the multipliers and the bounds of its unknowns and constraints.
+    `program` is the nonlinear program of the optimal control problem on one mesh. `multipliers` are
+    the multipliers of the program's constraints and of the bounds on its unknowns. `bounds` are the
+    bounds of the program's unknowns and constraints.
     """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):

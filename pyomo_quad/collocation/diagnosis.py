@@ -246,14 +246,19 @@ class ActiveLimit:
 
 @dataclass(frozen=True, kw_only=True)
 class Relaxation:
-    """Least amount by which a component's limits must be relaxed to make a problem feasible.
+    """Amount by which a component's limits are relaxed to make an infeasible problem feasible.
+
+    A component is a constraint or a variable of the Pyomo model; its limits share one relaxation.
+    To make the problem feasible, the limits of several components may have to be relaxed together.
+    A diagnosis finds the relaxations of all components whose sum, each divided by the magnitude of
+    the component's limits, is least. An object of this class is the relaxation of one component.
 
     Attributes
     ----------
     name : str
         Name of the component that declares the limits.
     amount : float
-        Relaxation, in the unit of the limit.
+        Relaxation of the limits, in the unit of `limit`.
     limit : float
         Value of the limit, or its largest value if the limit varies with time.
     unit : str

@@ -51,10 +51,12 @@ class Instants:
         algebraic variables, static variables (without time), and data (fraction of the horizon and
         parameters).
     read : callable
-        ``(keys, *inputs)`` -> values of the model's components that `keys` names, shape
-        (n, n_keys). See `table` for the form of `keys`.
+        Function that evaluates components of the model, such as variables and expressions:
+        ``(keys, *inputs)`` -> values, shape (n, n_keys). The argument `keys` is a tuple of pairs,
+        the full name of a component and its index without the time.
     numbers : callable
-        (data, new values of parameters by full name) -> copy of the data with the new values.
+        Function that changes parameters: (data, new values of parameters by full name) -> copy of
+        the data with the new values. Here data is the last array of `inputs`.
     """
 
     inputs: list[FloatArray]
@@ -586,7 +588,10 @@ class Dynamics:
 
     @property
     def tables_read(self) -> tuple[str, ...]:
-        """Names of the interpolation tables that the equations over time evaluate."""
+        """Names of the interpolation tables that the model's equations evaluate at every time.
+
+        Tables that occur only in conditions at single times, such as end conditions, are left out.
+        """
         return tuple(use.name for use in self._formulation.compiled.tables.over_time)
 
     @property
@@ -595,7 +600,11 @@ class Dynamics:
         return tuple(p.name for p in self._formulation.compiled.declared.parameters)
 
     def initial_states(self) -> dict[str, float]:
-        """Return the initial values of the states in the Pyomo model by name, 0 where unset."""
+        """Return the value of each state at the start of the horizon, as set in the Pyomo model.
+
+        The result maps the full name of each state to this value. The value is 0 if the variable
+        has no value at the first time of the model's continuous set.
+        """
         declared = self._formulation.compiled.declared
         held = {
             slot.name: dict(self._formulation.values.initial_values(slot))
@@ -848,9 +857,10 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Rates are the derivatives of the states with respect to the fraction of the horizon.
-        Newton's method solves only for the unknowns that enter nonlinearly. The remaining equations
-        are linear in the remaining unknowns, and are solved symbolically.
+        Rates are the derivatives of the states with respect to the fraction of the horizon. In the
+        returned object, the nonlinear part of the equations is left for Newton's method, which
+        solves only for the unknowns that enter nonlinearly. The remaining equations are linear in
+        the remaining unknowns, and are solved here symbolically.
 
         Parameters
         ----------
@@ -862,7 +872,9 @@ class _Core:
             States, controls, static variables (variables without time) and data (fraction of the
             horizon and parameters).
         rest : casadi.SX
-            Further expressions of the unknowns, to be evaluated at the solution.
+            Column of two expressions to be evaluated at the solution of the equations: the
+            objective's integrand, and the derivative of time with respect to the fraction of the
+            horizon.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -1018,7 +1030,9 @@ def _expression(number: Any) -> Any:
 class Law(Protocol):
     """Type of a feedback control law: a function of numbers that can be compiled to CasADi.
 
-    The law must consist of arithmetic and of NumPy's functions of single numbers.
+    The law may use only arithmetic and NumPy's elementwise functions `sqrt`, `exp`, `log`, `fmin`
+    and `fmax`, and the trigonometric (also inverse) and hyperbolic functions. It must not branch
+    (`if`) on its arguments.
     """
 
     def __call__(
@@ -1180,10 +1194,13 @@ class ClosedLoop:
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the CasADi function of the closed loop.
 
-        The function maps (time-dependent inputs, joint state, command) to the time derivative of
-        the joint state and the controls. The joint state consists of the states of vehicle and law,
-        and of the integral of the objective's integrand. `sizes` are the dimensions of the three
-        inputs, which the function `joint_sizes` returns.
+        The CasADi function has three inputs: the time-dependent inputs of the equations, the joint
+        state, and the command that the law follows. It has two outputs: the time derivative of the
+        joint state, and the controls. The joint state consists of the vehicle's states, the law's
+        own states, and the integral of the objective's integrand.
+
+        `law` is the control law. `sizes` are the dimensions of the three inputs, which the function
+        `joint_sizes` returns.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
@@ -1214,12 +1231,14 @@ class ClosedLoop:
     def slopes(
         self, t: FloatArray, joint: FloatArray, command: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return partial derivatives of the joint state's time derivative at n times.
+        """Return the Jacobians of the closed loop's right-hand side at n times.
 
-        The joint state consists of the states of vehicle and law, and the integral of the
-        objective's integrand; the method `rates` returns its time derivative. Where the control law
-        has a kink, for example where `fmin` switches between its arguments, the partial derivatives
-        are one-sided.
+        The right-hand side is the time derivative of the joint state, which the method `rates`
+        returns. The joint state consists of the states of vehicle and law, and the integral of the
+        objective's integrand. One Jacobian is taken with respect to the time-dependent inputs of
+        the equations, the other with respect to the joint state. Where the control law has a kink,
+        for example where the minimum of two numbers (NumPy's `fmin`) switches from one number to
+        the other, the partial derivatives are one-sided.
 
         Parameters
         ----------

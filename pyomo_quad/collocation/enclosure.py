@@ -199,7 +199,14 @@ class Enclosure:
 class _Steps:
     """Elementary operations of a CasADi function, evaluated one after another on intervals.
 
-    `Enclosure` uses this class for its expressions and their gradient.
+    The function has two arguments: variables that range over intervals, and numbers that have
+    single values. `Enclosure` makes two objects of this class: one for a function that returns the
+    values of expressions, and one for a function that also returns a gradient.
+
+    Parameters
+    ----------
+    function : casadi.Function
+        The CasADi function.
     """
 
     def __init__(self, function: Any) -> None:
