@@ -230,7 +230,9 @@ class SimpleBound:
     slope : float
         Coefficient of the variable in the constraint; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
-        Lower and upper bound of the variable. Bounds of a constraint have been divided by `slope`.
+        Lower and upper bound of the variable. For a constraint on the expression ``slope * variable
+        + offset``, the offset has been subtracted from the constraint's bounds, and the differences
+        have been divided by the slope; a negative slope exchanges the lower and the upper bound.
         The bounds are expressions of the parameters and, if they hold over time, of the fraction of
         the horizon.
     """
@@ -351,6 +353,8 @@ class TableArguments:
 
     The values serve to check whether a solution evaluates a table outside the range of its data. A
     `TableUse` is one argument of a table in one equation, as an expression, with the table's range.
+    A condition is a constraint at declared times (members of the continuous set), and a static
+    variable is a variable without time.
 
     Attributes
     ----------
@@ -360,10 +364,11 @@ class TableArguments:
         (variables at a collocation point, data of the point) -> values of the arguments in
         `over_time`. The data are the fraction of the horizon and the parameters.
     in_conditions : tuple of TableUse
-        Arguments in conditions (constraints at declared times, the members of the continuous set).
+        Arguments in conditions.
     points : casadi.Function
-        (values at declared times with static variables and integrals, parameters) -> values of the
-        arguments in `in_conditions`.
+        (variables in conditions, parameters) -> values of the arguments in `in_conditions`. The
+        variables in conditions are one column: the values of variables at declared times, then the
+        static variables, then integrals.
     """
 
     over_time: tuple[TableUse, ...]
@@ -499,10 +504,12 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    States on which neither the objective nor other equations depend are left out of the nonlinear
-    program, and are computed from its solution. Constraints on a single variable become bounds.
-    Integrals in conditions (constraints at declared times) become static variables (variables
-    without time), each with a constraint that defines it.
+    The argument `declared` has the declarations: variables, equations and objective of the Pyomo
+    model, as CasADi symbols and expressions. Unless the objective is constant, states on which
+    neither the objective nor other equations depend are left out of the nonlinear program, and are
+    computed from its solution. Constraints on a single variable become bounds. Integrals in
+    conditions (constraints at declared times), or in a nonlinear term of the objective, become
+    static variables (variables without time), each with a constraint that defines it.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -559,7 +566,8 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 
     The function maps (static variables, parameters) to the start of the horizon, its free interior
     times (times that the solve determines) and its end. A phase lies between two consecutive times
-    of this list. The argument `parameters` is the column of the parameters' symbols.
+    of this list. Static variables are variables without time. `declared` has the static variables
+    and the expressions of these times, and `parameters` is the column of the parameters' symbols.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -688,10 +696,13 @@ def _moving_side(side: Any) -> tuple[Any, Any]:
 def _table_arguments(
     declared: Declarations, path_variables: dict[str, Any], point_variables: dict[str, Any]
 ) -> TableArguments:
-    """Compile the functions that evaluate the arguments of all interpolation tables.
+    """Compile the functions that evaluate the arguments of all interpolation tables in a model.
 
-    `path_variables` and `point_variables` are the symbols, by name, of the variables at a
-    collocation point and of the variables in conditions (constraints at declared times).
+    `declared` has the model's table arguments, as expressions, and its parameters.
+    `path_variables` has the symbols of the variables at a collocation point, by name, and
+    `point_variables` the symbols of the variables in conditions (constraints at declared times). A
+    table argument that contains any other variable is left out of the result, because its equation
+    has been left out of the nonlinear program.
     """
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
@@ -816,11 +827,12 @@ def _is_static(declared: Declarations, name: str) -> bool:
 
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
-    """Return a copy of the declarations, with a static variable for each integral that needs one.
+    """Return a copy of a model's declarations, with a static variable for some of the integrals.
 
-    A static variable is a variable without time. An integral that enters only the objective, and
-    linearly, needs none. For any other integral, a constraint (a single dense row of the nonlinear
-    program) makes the static variable equal to the integral.
+    `declared` are the declarations: the variables, equations and objective of the model. A static
+    variable is a variable without time. An integral that enters only the objective, and linearly,
+    gets no static variable. Any other integral gets one, and a constraint of the nonlinear program
+    (a single dense row) makes the static variable equal to the integral.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(

@@ -127,7 +127,7 @@ class CouplingWriter(TemplateWriter):
         The variable or parameter `data` (a leaf of a Pyomo expression) appears in the objective or
         in a constraint on several horizons. If `data` is a variable over one horizon at a single
         time, the result is the symbol of a static variable (a variable without time) that equals
-        it.
+        the value of `data`. If `data` has no time, the result is the symbol of `data` itself.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -228,19 +228,23 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     Parameters
     ----------
     model : ConcreteModel
+        The Pyomo model.
     times : mapping, optional
         For each continuous set, by name: a mapping from members of the set to the static variables
-        (variables without time) that give their physical times. It is the argument `times` of
-        `JointProblem`, the class of problems with several horizons.
+        (variables without time) that give the physical times of these members. The caller passes
+        this mapping as the argument `times` of `JointProblem`, the class of problems with several
+        horizons. Without the mapping, each member is itself a physical time.
 
     Returns
     -------
     CoupledDeclarations
+        The variables, equations and objective as CasADi symbols and expressions, separated into
+        those of each horizon and those that concern several horizons.
 
     Raises
     ------
     TranscriptionError
-        If the model declares something unsupported or incomplete; the message names it.
+        If the model has an unsupported or incomplete component; the message names the component.
     """
     free = free_times(continuous_sets(model), None, times)
     statics: dict[str, Slot] = {}

@@ -1,7 +1,7 @@
-"""Find algebraic variables that equations define as functions of others, and compute them.
+"""Find algebraic variables that equations define by other variables, and compute their values.
 
 An example is a rate constant that an equation gives as a function of temperature. The values of
-such variables follow from their defining equations, without a solve of the nonlinear program.
+such algebraic variables follow from the defining equations, without a solve of the nonlinear program.
 """
 
 from __future__ import annotations
@@ -35,10 +35,12 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    An equation defines an algebraic variable if the variable enters with a constant coefficient,
-    and if other equations define all other algebraic variables that enter with a constant
-    coefficient. For example, ``k == exp(-1 / x)`` defines k, but not x, which enters nonlinearly.
-    ``p - q == y`` defines neither p nor q, unless another equation defines one of them.
+    Only equalities are considered. Algebraic variables that enter an equation with a constant
+    coefficient are called its linear variables. The search is repeated: an equation with a single
+    linear variable defines this variable, and a variable that is already defined no longer counts
+    as a linear variable of the other equations. For example, ``k == exp(-1 / x)`` defines k, but
+    not x, which enters nonlinearly. If y is a state, ``p - q == y`` has two linear variables, and
+    therefore defines p only if another equation defines q, and q only if another defines p.
 
     Parameters
     ----------
@@ -49,7 +51,7 @@ def definitions(
         collocation points, and again after a shift of all variables.
     among : iterable of int, optional
         Indices (among all algebraic variables) of the variables that may be defined; all by
-        default.
+        default. Any other algebraic variable counts as already defined.
 
     Returns
     -------

@@ -47,28 +47,30 @@ _BARRIERS = ("adaptive", "monotone")
 def _with_slacks(
     program: NonlinearProgram, rows: NDArray[np.intp], sizes: FloatArray, prices: FloatArray, n: int
 ) -> ExtendedProgram:
-    """Return a program of n unknowns in which some constraints have penalised slacks.
+    """Return an elastic program: a copy of a program with penalised slacks in some constraints.
 
-    Each chosen constraint has two non-negative slacks: one permits a violation upwards, the other a
-    violation downwards.
+    Each chosen constraint has two non-negative slacks, which are added unknowns. The first slack
+    increases the value of the constraint, and so permits a violation of the lower bound; the second
+    slack decreases the value, and so permits a violation of the upper bound.
 
     Parameters
     ----------
     program : NonlinearProgram
+        The original program.
     rows : ndarray of int, shape (k,)
-        The chosen constraints.
+        Indices of the chosen constraints.
     sizes : ndarray, shape (k,)
-        Amount by which one unit of slack changes the value of each constraint.
+        Amount by which one unit of slack changes the value of each chosen constraint.
     prices : ndarray, shape (k,)
-        Penalty per unit of slack.
+        Penalty per unit of slack in each chosen constraint.
     n : int
-        Number of unknowns of the program.
+        Number of unknowns of the original program.
 
     Returns
     -------
     ExtendedProgram
-        With 2 k more unknowns: first the slacks that increase the constraints' values, then the
-        slacks that decrease them.
+        The elastic program with n + 2 k unknowns: the unknowns of the original program, then the
+        slacks that increase the values of the constraints, then the slacks that decrease them.
     """
     slacks = n + np.arange(2 * rows.size)
     entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)

@@ -157,10 +157,12 @@ class SolverOptions:
     def for_phases(self) -> SolverOptions:
         """Return the settings for models whose equations hold a variable at a bound for some time.
 
-        Examples are an engine at full thrust, or an empty tank. The equation and the bound together
-        leave the feasible set without an interior, so the multipliers diverge. A warm start from
-        diverged multipliers is slower than a solve from the guess. Ipopt therefore relaxes the
-        bounds slightly and projects the result back onto them.
+        An example is an equation that prescribes full thrust of an engine, whose thrust is bounded.
+        Another example is a tank that stays empty, with a bound that forbids a negative content.
+        The equation and the bound together leave the feasible set without an interior, so the
+        multipliers diverge. A warm start from diverged multipliers is slower than a solve from the
+        guess. With these settings, Ipopt therefore relaxes all bounds slightly, and projects the
+        solution back onto the original bounds.
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
@@ -173,10 +175,11 @@ class SolverOptions:
         parameters. A given positive parameter selects one point of this curve, and the controls at
         the selected point differ little from mesh to mesh.
 
-        If the start practically coincides with the selected point, its variables stay on their
-        bounds. If the start is far from the selected point, it is first moved inside its bounds,
-        and the solve begins with a larger barrier parameter. Without these measures, bounds that
-        become active or inactive would shorten nearly every step.
+        If the start practically coincides with the selected point, variables that start on their
+        bounds stay there. If the start is far from the selected point, the start is first moved
+        inside the bounds, and the solve begins with a larger barrier parameter. Without these two
+        measures, a solve from a far start would take many short steps, because bounds that become
+        active or inactive would shorten nearly every step.
 
         Parameters
         ----------
@@ -261,13 +264,15 @@ class SolverOptions:
         return replace(self, cold=_FROM_AFAR)
 
     def for_small_changes(self) -> SolverOptions:
-        """Return the settings for a warm start on a mesh that differs in few elements.
+        """Return the settings for a warm start on a mesh that differs little from the previous mesh.
 
+        The start is the solution on the previous mesh, from which the mesh differs in few elements.
         With the usual initial barrier parameter of a warm start, the iterates would first move away
-        from a start that is nearly optimal. With the smaller parameter of these settings, controls
-        on which the objective hardly depends stay near their values on the previous mesh. This
-        parameter was tested on a flight of 1 km against the wind, whose mesh was refined to five
-        times as many points.
+        from this nearly optimal start. With the smaller barrier parameter of these settings,
+        controls on which the objective hardly depends stay near their values on the previous mesh.
+        The smaller parameter was tested on a flight of 1 km against the wind; the mesh of this
+        flight was refined to five times as many points. The settings also move the start inside its
+        bounds.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -499,8 +504,8 @@ class _Callbacks:
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the nonzeros of the constraints' Jacobian at the unknowns `z`, for Ipopt.
 
-        Ipopt evaluates the Jacobian at its iterates only, so that `z` is stored as the current
-        iterate.
+        The method also stores `z` as the current iterate. This is correct because Ipopt evaluates
+        the Jacobian at iterates only, and not at trial points of the line search.
         """
         self.iterate = np.array(z)
         return self._guarded("jacobian", z)

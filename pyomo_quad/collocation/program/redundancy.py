@@ -160,7 +160,8 @@ def _slopes_of(
     """Return the scaled gradients of conditions with respect to the free unknowns.
 
     `candidates` are the conditions: constraints at declared times, or values fixed at declared
-    times. `slopes` is the scaled Jacobian of all constraints with respect to the free unknowns, and
+    times. An unknown is free if its bounds are unequal, or if one of these conditions fixes it.
+    `slopes` is the scaled Jacobian of all constraints with respect to the free unknowns, and
     `free` are the positions of the free unknowns among all unknowns. There is one gradient for each
     condition, with the shape (n_free,); the gradient of a condition that fixes an unknown is a unit
     vector.

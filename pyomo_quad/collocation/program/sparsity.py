@@ -385,29 +385,32 @@ class JacobianScatter:
     """Assembly of the constraints' Jacobian and the objective's gradient from point derivatives.
 
     The inputs of the assembly are called sources: a source is a number that a CasADi function
-    returns at each evaluation, such as the derivative of a path equation at a collocation point. An
-    integral enters the objective directly if no static variable (variable without time) stands for
-    it.
+    returns at each evaluation, such as the derivative of a path equation at a collocation point.
+    The sources are in a fixed order: first the derivatives of path equations and integrands, then
+    the derivatives of conditions (constraints at declared times) and objective. An integral enters
+    the objective directly if no static variable (variable without time) stands for the integral.
 
     Attributes
     ----------
     rows : Scatter
-        Jacobian of the constraints.
+        Linear map from the sources to the Jacobian of the constraints.
     objective : Scatter
-        Gradient of the objective with its integrals held constant.
+        Linear map from the sources to the gradient of the objective, with the integrals that enter
+        the objective directly held constant.
     integrals : tuple of Scatter
-        Gradients of the integrals that enter the objective directly.
+        For each integral that enters the objective directly: linear map from the sources to the
+        gradient of the integral.
     slope_sources : ndarray of int
-        Positions of the derivatives of the objective with respect to integrals that enter it
-        directly, among the sources from conditions (constraints at declared times) and objective.
-        Derivatives that are always zero are omitted.
+        Where to find the derivatives of the objective with respect to integrals that enter it
+        directly: their positions among the sources of conditions and objective. Derivatives that
+        are always zero are omitted.
     slope_integrals : ndarray of int
-        For each of these derivatives, the position of its integral among all integrals that enter
-        the objective directly.
+        For each derivative in `slope_sources`, the position of its integral among all integrals
+        that enter the objective directly.
     n_integrals : int
         Number of integrals that enter the objective directly.
     n_path_sources : int
-        Number of sources from path equations and integrands, which come first.
+        Number of sources of path equations and integrands.
     unknowns : int
         Number of unknowns of the program.
     """
@@ -436,9 +439,10 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective, shape (n_unknowns,).
 
-        `sources` are the values that CasADi returned, among them all first derivatives. `slopes`
-        are the derivatives of the objective with respect to the integrals that enter it directly
-        (no static variable stands for them).
+        `sources` are the values that CasADi returned for the first derivatives: those of path
+        equations and integrands, then those of conditions (constraints at declared times) and
+        objective, then a 1. `slopes` are the derivatives of the objective with respect to the
+        integrals that enter the objective directly (no static variable stands for these integrals).
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
