@@ -1,7 +1,8 @@
 """Find algebraic variables that equations define by other variables, and compute their values.
 
 An example is a rate constant that an equation gives as a function of temperature. The values of
-such algebraic variables follow from the defining equations, without a solve of the nonlinear program.
+such algebraic variables follow from the defining equations, without a solve of the nonlinear
+program.
 """
 
 from __future__ import annotations

@@ -264,7 +264,7 @@ class SolverOptions:
         return replace(self, cold=_FROM_AFAR)
 
     def for_small_changes(self) -> SolverOptions:
-        """Return the settings for a warm start on a mesh that differs little from the previous mesh.
+        """Return the settings for a warm start on a mesh that differs little from the one before.
 
         The start is the solution on the previous mesh, from which the mesh differs in few elements.
         With the usual initial barrier parameter of a warm start, the iterates would first move away
