@@ -548,7 +548,12 @@ class Solution(Outcome):
 
     @cached_property
     def warnings(self) -> tuple[str, ...]:
-        """Warnings about a converged solution, one line each; empty if it has not converged."""
+        """Warnings about a converged solution, one line each; empty if it has not converged.
+
+        The warnings are those in the attribute `notes`, for example that some equations follow from
+        others, and a warning if the Hamiltonian varies by more than mesh errors can explain,
+        although the problem does not depend on time explicitly.
+        """
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
     def hamiltonian(self, t: Any) -> Any:

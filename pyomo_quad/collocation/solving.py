@@ -38,7 +38,9 @@ S = TypeVar("S", bound=Outcome)
 
 @dataclass(kw_only=True)
 class _WholeSolve(Search[S], Generic[S]):
-    """Search that solves from a warm start, and from the guess if the warm start is too slow.
+    """Solve from a warm start, and from the guess if the solve from the warm start is too slow.
+
+    These two ways to solve are solution strategies; the base class `Search` tries them in order.
 
     Attributes
     ----------
@@ -48,8 +50,8 @@ class _WholeSolve(Search[S], Generic[S]):
     start : Start
         Warm start and guess that the caller gave.
     known : ColdStart, optional
-        Iterations that an earlier solve from the guess took. They are the budget of the warm start;
-        if None, the warm start has no budget.
+        Iterations that an earlier solve from the guess took. The solve from the warm start may take
+        no more iterations than these, its budget; if None, this solve has no budget.
     tolerance : float
         Tolerance of the mesh refinement, 0 for a single mesh.
     progress : callable or None
@@ -251,8 +253,9 @@ def _finished_of(finished: list[S], ended: S) -> S:
     Parameters
     ----------
     finished : list of Solution or JointSolution
-        Converged solutions on the meshes of the refinement. Solutions of a problem from which
-        redundant conditions were left out are not considered.
+        Converged solutions on the meshes of the refinement. A solve may leave out conditions
+        (constraints at single times) of the problem, because they seem to follow from the others.
+        The result is never a solution in `finished` from such a solve.
     ended : Solution or JointSolution
         Result with which the refinement ended.
 

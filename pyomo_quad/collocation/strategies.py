@@ -122,10 +122,11 @@ class Strategy:
         Whether the damping of the controls (a penalty on their distance from the controls of the
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
-        Limit of iterations of the solve on each mesh; infinite for no limit. None for the whole
-        solve from a warm start. A warm start may contain a record of the iterations that an earlier
-        solve from the guess took on the first mesh, and on all meshes together. These two numbers
-        then limit the iterations of the whole solve from the warm start.
+        Limit of iterations of the solve on each mesh; infinite for no limit. None means that the
+        limits are taken from the warm start, which may contain a record of an earlier solve from
+        the guess. The record has two numbers of iterations, of the first mesh and of all meshes
+        together, and the solve from the warm start may exceed neither. Without a record, this solve
+        has no limit.
     times : int
         How often the strategy may be tried.
     """

@@ -145,6 +145,8 @@ def _fraction(solution: Solution, time: float) -> FloatArray:
 def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
     """Return the derivatives of the objective with respect to constraints, and to bounds.
 
+    The derivatives are computed from the multipliers of `solution`.
+
     Returns
     -------
     Sensitivities
@@ -171,8 +173,11 @@ def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
 def _widths(solution: Solution) -> FloatArray:
     """Return the duration that each collocation point represents, shape (n_points,).
 
-    The duration is the point's quadrature weight times the length of the horizon (or of the phase
-    that contains the point). A multiplier divided by the duration is a derivative per unit of time.
+    The points are those of the mesh of `solution`. The duration of a point is its quadrature weight
+    times the derivative of physical time with respect to the fraction of the horizon. The
+    derivative is the length of the horizon; only if the solve determines times inside the horizon,
+    each phase between these times has its own derivative. The multiplier of a constraint at the
+    point, divided by the duration, is a derivative of the objective per unit of time.
     """
     mesh = solution.mesh
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)

@@ -183,7 +183,7 @@ def read_mission(
     ------
     ScenarioError
         If the file is not a mission, has a command that cannot be converted or left out, or gives
-        an invalid scenario; one line.
+        an invalid scenario. The message has one line.
 
     Examples
     --------

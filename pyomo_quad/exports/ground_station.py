@@ -1,7 +1,8 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
-The exported waypoints include the mission's start, waypoints and goal. Further waypoints only make
-the path follow the plan. In QGroundControl's file they are marked, so that
+The exported waypoints include the start, the waypoints and the goal of the plan's scenario. All
+other exported waypoints are added for one purpose: the straight legs between them follow the curved
+path of the plan. In QGroundControl's file the added waypoints are marked, so that
 `exports.ground_missions` leaves them out when it converts the file back to a scenario. The files
 are QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions and
 fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.

@@ -70,12 +70,18 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     is_code_allowed : bool, optional
         Whether to run the Python model builder that the scenario names, if it names one.
 
+    Returns
+    -------
+    ProvenPlan
+        The plan's trajectories and mission.
+
     Raises
     ------
     ScenarioError
-        If there is no plan, the plan is damaged, the plan's status says that no simulation has
-        confirmed it (neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`), or the new simulation
-        does not confirm it.
+        If there is no plan, the plan is damaged, the plan's status is one of a plan that no
+        simulation has confirmed, or the new simulation does not confirm the plan. The statuses of a
+        confirmed plan are `PlanStatus.VERIFIED`, confirmed to the requested accuracy, and
+        `PlanStatus.USABLE`, confirmed to wider tolerances.
     """
     place = Path(path)
     if place.is_dir():
@@ -177,9 +183,10 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan's status says that no simulation has confirmed it (neither
-            `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`), or the new simulation does not
-            confirm it.
+            If the plan's status is one of a plan that no simulation has confirmed, or the new
+            simulation does not confirm the plan. The statuses of a confirmed plan are
+            `PlanStatus.VERIFIED`, confirmed to the requested accuracy, and `PlanStatus.USABLE`,
+            confirmed to wider tolerances.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -197,9 +204,10 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, the plan is damaged, the plan's status says that no simulation has
-            confirmed it (neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`), or the new
-            simulation does not confirm it.
+            If there is no plan, the plan is damaged, the plan's status is one of a plan that no
+            simulation has confirmed, or the new simulation does not confirm the plan. The statuses
+            of a confirmed plan are `PlanStatus.VERIFIED`, confirmed to the requested accuracy, and
+            `PlanStatus.USABLE`, confirmed to wider tolerances.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 

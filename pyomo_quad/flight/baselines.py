@@ -1,8 +1,8 @@
 """Simulated flights that are compared with a plan, with or without feedback control.
 
-With feedback, the adaptive controller follows a reference: a path over time, such as the plan
-itself or a smooth path from start to goal. In open loop, the plan's controls are applied without
-feedback.
+With feedback, a controller (class `AdaptiveController`) steers the vehicle along a reference: a
+path over time, such as the plan itself or a smooth path from start to goal. Without feedback (in
+open loop), the plan's controls are applied as functions of time.
 """
 
 from collections.abc import Iterator, Sequence

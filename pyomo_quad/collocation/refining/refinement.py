@@ -686,15 +686,22 @@ class _Reached(Generic[S]):
     def compare(self, other: S, error: float) -> None:
         """Update `shown`, the bound on the improvement, with a solution found after the restart.
 
-        `other` is this solution, `error` its estimated relative error. The lower bound `shown`
-        becomes the improvement of the objective by `other` less `error`, if that is larger than the
-        present bound.
+        `other` is the solution found after the restart, and `error` is the estimated relative error
+        of `other`. The lower bound from `other` is a difference of two numbers. The first is the
+        amount by which the objective of `other` is better than the objective of the kept solution,
+        relative to the objective. The second, which is subtracted, is `error`. `shown` becomes this
+        bound if there is no bound yet, or if this bound is larger than the present `shown`.
         """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
 
     def better(self, other: S) -> S:
-        """Return the better of two solutions: the kept solution, or `other`, found after it."""
+        """Return the kept solution or `other`, whichever has the better objective.
+
+        `other` is a solution found after the restart; it is returned if the objectives are equal.
+        If the kept solution is returned, it is a copy with the history of `other`, which records
+        all meshes.
+        """
         if self.gain(other) >= 0.0:
             return other
         return self.solution.updated(history=other.parts[0].history)
@@ -708,9 +715,10 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
     the required relative error.
 
     Without a restart, the result is `ended`. After a restart, the result is the solution in
-    `reached`. Its status and message state that better controls exist in two cases: the restart has
-    shown an improvement of the objective by more than the tolerance, or no solution was found after
-    the restart.
+    `reached`. In two cases, the status and message of this solution are changed to state that
+    better controls exist: a solution after the restart improves the objective by more than the
+    tolerance, even if its estimated error is subtracted from the improvement; or no solution was
+    found after the restart.
     """
     if reached is None:
         return ended
@@ -724,9 +732,9 @@ def _cut_off(reached: _Reached[S]) -> S:
     A restart begins the refinement again from better controls. The refinement may have to stop
     before it meets the tolerance again, for example because it has used up the allowed number of
     meshes. `reached` holds the solution that met the tolerance before the restart; this solution is
-    returned. Its status and message are changed to state that better controls exist. If the
-    solution is itself the result of an earlier restart, its estimated error is raised, where it is
-    smaller, to the relative improvement of the objective by the earlier restart.
+    returned. Its status and message are changed to state that better controls exist. The solution
+    may itself be the result of an earlier restart, which improved the objective. The estimated
+    error of the returned solution is then at least this relative improvement.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))

@@ -45,17 +45,18 @@ class RefinementOptions:
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
         Tolerances for the simulation of the controls in open loop (without feedback): on violations
-        of limits between the collocation points, on the final states and on the states.
+        of limits between the collocation points, on the deviation of the final states, and on the
+        error of the states between the points.
     damping : float
         Strength of the penalty on the distance between the controls and the controls on the
         previous mesh. Only controls that enter linearly are penalised. If a control differs by its
         whole range, the penalty is `damping` times the tolerance times the objective.
     limits_move : bool
-        Whether many limits become active and inactive along the trajectory. Most of these changes
-        (junctions) hardly affect the objective. If true, elements are split at junctions only after
-        all errors meet the tolerance, and each solve reduces the complementarity gap (the error
-        that Ipopt's barrier leaves in the objective) only to a fraction of the error on the
-        previous mesh.
+        Whether the caller expects many junctions: times along the trajectory at which a limit
+        becomes active or inactive. Most junctions then hardly affect the objective. If true,
+        elements are split at junctions only after all errors meet the tolerance, and each solve
+        reduces the complementarity gap (the error that Ipopt's barrier leaves in the objective)
+        only to a fraction of the error on the previous mesh.
     on_mesh : callable, optional
         Called with the solution on each finished mesh, its error estimate and history included. If
         it returns False, the refinement ends with the status interrupted, and with the solution on
@@ -87,11 +88,14 @@ class RefinementOptions:
         start impose the bounds between the points as well, up to this violation. If this value is
         infinite, bounds are imposed at the points only.
 
-        The value is finite if three conditions hold: `allowance` sets no tolerance on the states,
-        `limits_move` is true, and the tolerances on violations in `allowance` are positive.
-        Otherwise the value is infinite. With a tolerance on the states, bounds between the points
-        need not be imposed, because a later simulation corrects the controls by feedback and shows
-        violations between the points.
+        The value is finite if three conditions hold: `allowance` sets no tolerance on the error of
+        the states; `limits_move` is true, which means that many limits are expected to become
+        active or inactive along the trajectory; and `allowance` tolerates positive violations of
+        the bounds of controls and of other limits. Otherwise the value is infinite.
+
+        With a tolerance on the error of the states, bounds between the points need not be imposed,
+        because a later simulation corrects the controls by feedback and shows violations between
+        the points.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -152,7 +156,8 @@ class _Piece:
         Error of the element of the present mesh from which this element was made; for a merged
         element, the predicted error.
     is_changed : bool
-        Whether the element was refined; only unchanged elements are merged.
+        True for an element that was refined, and for an element that only keeps its degree because
+        `Marks.kept` lists it. These elements are not merged with their neighbours.
     """
 
     end: float
@@ -172,11 +177,11 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether controls are expected to reach their limits with kinks instead of jumps. A control
-        that enters the equations linearly is expected to jump. From the second mesh of a refinement
-        on, a penalty keeps the controls of this kind near the controls on the previous mesh. Kinks
-        are expected if the present mesh is the second or a later one, and was solved without this
-        penalty.
+        Whether controls are expected to reach their limits with kinks (jumps of the slope) instead
+        of jumps. Jumps are expected of a control that enters the equations linearly. A solve with
+        such a control on a later mesh than the first has a penalty, which keeps the control near
+        the control on the previous mesh. Kinks are therefore expected on every mesh after the first
+        that was solved without such a penalty.
     """
 
     coarse: frozenset[int]
@@ -330,8 +335,16 @@ def _finer(
 ) -> list[_Piece]:
     """Return the elements of the next mesh that replace an element whose error is too large.
 
-    If the solution is smooth in the element, the result is one element with a higher degree;
-    otherwise the element is split.
+    An element that is too narrow to be split is kept unchanged. An element is split if a control is
+    clipped at its limit there, or if the largest error of the element is due to a control switch or
+    to bounds imposed between the collocation points. If the largest error is the violation of a
+    limit between the points, the element is split if `options.limits_move` is true (many limits are
+    expected to become active or inactive), or if the states are nearly straight lines. An element
+    whose errors meet the tolerance, but in which a limit becomes active or inactive, is also split.
+
+    In all other cases, the smoothness of the solution decides: if the solution is smooth in the
+    element, and the necessary degree is allowed, the result is one element with a higher degree; if
+    not, the element is split.
 
     Parameters
     ----------
@@ -340,8 +353,8 @@ def _finer(
     e : int
         Index of the element.
     error : ErrorEstimate
-        Estimated errors of the solution. The kind of the element's largest error decides how the
-        element is refined.
+        Estimated errors of the solution, by element and kind, such as errors of states, of
+        integrals, or of limits between the collocation points.
     tolerance : float
         Required relative error.
     options : RefinementOptions
@@ -395,8 +408,9 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 
     `pieces` are the elements of the next mesh before merging, from left to right; the result is the
     same mesh with merged elements. The predicted error of a merged element must be far below
-    `tolerance`. Elements that were refined for the next mesh are not merged. A boundary between
-    elements is kept if the problem of `solution` requires it.
+    `tolerance`, the required relative error. Elements that were refined for the next mesh, or whose
+    degree must not be lowered, are not merged. A boundary between two elements is kept if the
+    problem of `solution`, the solution on the present mesh, requires an element boundary there.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
@@ -438,11 +452,12 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
 
-    The coefficients are those of the polynomials through the integrands at the collocation points
-    of the element with index `e`. Each is divided by the largest magnitude of its integrand in the
-    element. Item k of the result, shape (degree,), is the largest magnitude over all integrals for
-    the Legendre polynomial of degree k. The decrease of the result with k measures how smooth the
-    integrands are.
+    The integrands are those of all integrals over time in the problem of `solution`. The
+    coefficients are those of the polynomials through the integrands at the collocation points of
+    the element with index `e`. Each coefficient is divided by the largest magnitude of its
+    integrand in the element. Item k of the result, shape (degree,), belongs to the Legendre
+    polynomial of degree k, and is the largest of these quotients' magnitudes over all integrands.
+    The decrease of the result with k measures how smooth the integrands are.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
