@@ -212,9 +212,11 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
-        """Return a list of two equal times if `name` is the name of the continuous set.
+        """Return the component that an integral's rule looks up in its block by the name `name`.
 
-        For any other name the result is the component of this name in the block of the integral.
+        The rule of an integral looks up the continuous set. If `name` is the name of this set, the
+        result is a list of two equal times, so that the rule sums a single trapezoid. For any other
+        name, the result is the component of this name in the Pyomo block that this object replaces.
         """
         if name == self._set_name:
             return [self._symbol, self._symbol]
@@ -245,8 +247,10 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     index : index of the integral, or None
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time: a symbol for all times, or a number. As an index, either one selects the members
-        of variables at the template time (the added interior time at which equations are read).
+        The time. A `TimeSymbol` is a symbol that stands for any time. An `Instant` is a number, the
+        time at which the integrand is wanted. Variables in the integrand are always the members at
+        the template time (the added interior time at which equations are read), because both
+        classes equal the template time when they are used as an index.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -491,8 +495,10 @@ class Declarations:
     parameters, signals : tuple of Slot
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
-        Other quantities that vary with time without a formula, such as numbers that a rule looks up
-        by its time.
+        Symbols for other quantities that depend on time but have no CasADi expression of time.
+        Python evaluates these quantities at each collocation point. They belong to rules that
+        branch on time or look up numbers by time, and to horizons that free times divide into
+        phases.
     clock : PhaseTimes
         Physical times of start and end of the horizon, and of the free times (times that the solve
         determines), in CasADi symbols.
@@ -560,8 +566,9 @@ class Declarations:
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of the data of a collocation point, in the order that compiled functions expect.
 
-        They are the fraction of the horizon, parameters over time, data of rules that branch on
-        time, and parameters without time.
+        They are the fraction of the horizon, the parameters over time (`signals`), the other
+        quantities that depend on time but have no CasADi expression of time (`scheduled`), and the
+        parameters without time (`parameters`).
         """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
@@ -638,9 +645,10 @@ class SymbolTable:
     def _horizon(self, name: str, time: float) -> Any:
         """Return the symbol of the parameter for the physical time at start or end of the horizon.
 
-        The parameter is new, and is added to the parameters of the model. `name` is its name, and
-        `time` is the first or last member of the continuous set. A model without time needs no
-        parameter: the result is then the number `time`.
+        The parameter is new, and is added to the parameters of the model. `name` is the name of the
+        parameter, and `time` is the first or last member of the continuous set. In a model without
+        a continuous set, `time` is 0 for the start and 1 for the end. Such a model needs no
+        parameter, and the result is the number `time`.
         """
         if self._copy.time is None:
             return casadi.SX(time)

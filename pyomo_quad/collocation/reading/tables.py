@@ -1,4 +1,8 @@
-"""Functions of states that are given by data: interpolation tables, and external functions."""
+"""Interpolation tables and external functions in Pyomo models, and their CasADi expressions.
+
+An interpolation table is a function that is given by its values on a grid. An external function is
+a function in Python that a Pyomo model calls.
+"""
 
 from __future__ import annotations
 
@@ -97,8 +101,11 @@ class Spline:
     def _local(self) -> LocalSpline:
         """The same spline as a `LocalSpline`, which is fast to evaluate.
 
-        A `LocalSpline` evaluates a Taylor polynomial of degree two about a point near the
-        arguments. The cost of an evaluation does not depend on the number of data points.
+        A `LocalSpline` rounds the arguments to a point that differs from them by at most 4e-12 of
+        the smallest grid step. It evaluates the Taylor polynomial of degree two about this point.
+        The error of the polynomial is negligible over so small a distance. For arguments beyond the
+        data, where the spline is linear, the polynomial is exact. The cost of an evaluation does
+        not depend on the number of data points.
         """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 

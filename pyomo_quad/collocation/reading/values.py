@@ -194,8 +194,10 @@ class ModelValues:
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
         """Return the time-dependent parameters as a function of the fraction of the horizon.
 
-        The function returns a list: parameters over time, then the data of rules that branch on
-        time. `instance` holds the horizon, and the parameter values that the caller gives.
+        The function returns a list of numbers. First are the values of the parameters over time.
+        Then follow the values of other quantities that depend on time but have no CasADi expression
+        of time, such as the numbers in the branch that a rule takes at this time. `instance` holds
+        the horizon, and the parameter values that the caller gives.
 
         Raises
         ------

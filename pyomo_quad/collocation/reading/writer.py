@@ -172,9 +172,11 @@ class ExpressionWriter:
         return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
-        """Return the CasADi expression of a node, given the CasADi expressions of its arguments.
+        """Return the CasADi expression of a node of the tree of a Pyomo expression.
 
-        Pyomo's expression walker calls this method when it has visited all arguments of the node.
+        `node` is the node, an operation or a named expression. `arguments` are the CasADi
+        expressions of the arguments of the node. Pyomo's expression walker calls this method when
+        it has visited all these arguments.
         """
         if node.is_named_expression_type():
             self._named[id(node)] = arguments[0]
@@ -472,9 +474,10 @@ class TemplateWriter:
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
         """Call a component's rule at one time, and return the result of the rule.
 
-        `name` is the name of the component, for messages. `say` calls the rule with a time. The
-        result is a `Statement`: the lower bound, body and upper bound of a constraint, or the
-        expression of an expression over time.
+        `name` is the name of the component, for messages. `say` calls the rule with a time, and
+        `time` is this time. The result is a `Statement`, which holds what the rule returned. If the
+        component is a constraint, this is a lower bound, a body and an upper bound. If the
+        component is a named Pyomo expression, this is a single Pyomo expression.
 
         Raises
         ------
@@ -533,12 +536,13 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return, just before or after a time, the data that Python functions of time supply.
+        """Return the values of time-dependent data, just before or just after a given time.
 
-        The equations contain symbols for these data, because no CasADi expression of time exists
-        for them. There are two kinds. For rules that branch on time, the data are the branch that a
-        rule takes, and the numbers that the rule uses in this branch. For a horizon with phases,
-        the data are the indicators of the phases, each 1 at times of its phase and 0 elsewhere. The
+        The data are those that Python evaluates, because no CasADi expression of time exists for
+        them. The equations contain symbols for these data. There are two kinds of data.
+        For rules that branch on time, the data are the branch that a rule takes, and the numbers
+        that the rule uses in this branch. For a horizon that is divided into phases, the data are
+        the indicators of the phases: each indicator is 1 at times of its phase and 0 elsewhere. The
         result maps the name of each symbol to (symbol, value).
 
         `time` is a time in the range of the continuous set. `side` is -1 for values just before the
@@ -738,9 +742,10 @@ class TemplateWriter:
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
     """Return the result of calling a rule with a symbol in place of time; None if that fails.
 
-    `say` calls the rule with a time, and `symbol` is the symbol that it receives as time. The
-    result is a `Statement`: the lower bound, body and upper bound of a constraint, or the
-    expression of an expression over time.
+    `say` calls the rule with a time, and `symbol` is the symbol that the rule receives as its time.
+    The result is a `Statement`, which holds what the rule returned. For the rule of a constraint,
+    this is a lower bound, a body and an upper bound. For the rule of a named Pyomo expression, this
+    is a single Pyomo expression.
     """
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
@@ -753,11 +758,12 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
     """Raise an error for a rule that uses its time as a number in a model with free times.
 
-    Free times are times of the model that the solve determines. The physical times are then unknown
-    when the rules of the model are called. Such a rule may compare its time with declared times
-    (members of the continuous set), but it must not calculate with its time. `name` is the name of
-    the component whose rule uses its time as a number. `error` is the exception that this rule
-    raised, None if it raised none.
+    Free times are times of the model that the solve determines. In a model with free times, the
+    physical times are unknown when the rules are called. The only use of its time as a number that
+    is permitted to a rule is a comparison with declared times (members of the continuous set).
+
+    `name` is the name of the component whose rule uses its time in another way. `error` is the
+    exception that this rule raised, None if the rule raised none.
     """
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
@@ -769,8 +775,11 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 def _as_numeric(statement: Statement) -> Statement:
     """Return a rule's result with a Pyomo parameter in place of the symbol for time.
 
-    `statement` is the result. A part of it may be the symbol itself, for example a bound that
-    equals the time; only such parts are replaced.
+    `statement` is the result of calling the rule with a symbol as its time. The parts of
+    `statement` are the lower bound, body and upper bound of a constraint, or a single expression. A
+    part may be the symbol itself, for example a bound that equals the time. The symbol is no Pyomo
+    object, so that such a part is replaced by the Pyomo parameter that stands for physical time.
+    Other parts are unchanged.
     """
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))

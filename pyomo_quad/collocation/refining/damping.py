@@ -33,8 +33,9 @@ _FAR = 1e-2
 class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
-    The smoothed controls are straight lines between the means of the controls over each element or,
-    if `is_still` is true, polynomials of low degree in each element.
+    The smoothed controls are straight lines between the means of the controls over each element. If
+    the objective hardly changes from mesh to mesh any more, they are instead polynomials of low
+    degree in each element.
 
     Attributes
     ----------
@@ -65,9 +66,10 @@ class Damping:
     def start_distance(self) -> StartDistance:
         """Expected distance between warm start and solution in the solve on the next mesh.
 
-        The distance is none, short or far. It is none if the objective hardly changes from mesh to
-        mesh any more (`is_still`), far if the error of the solution on the previous mesh is large,
-        and short otherwise. Ipopt's initial barrier parameter is chosen according to this distance.
+        The distance is none, short or far. It is none if the attribute `is_still` states that the
+        objective hardly changes from mesh to mesh any more. Otherwise it is far if the error of the
+        solution on the previous mesh is large, and short if this error is small. Ipopt's initial
+        barrier parameter is chosen according to this distance.
         """
         if self.is_still:
             return StartDistance.NONE
@@ -76,18 +78,23 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor`.
 
-        The new damping is towards the previous controls smoothed within each element (`is_still`).
-        The complementarity gap (the sum over all limits of multiplier times distance to the limit)
-        that the next solve leaves is at least `gap` times the nominal magnitude of the objective
-        (`Solution.nominal_objective`).
+        The new damping penalises the distance from the previous controls after these have been
+        smoothed by a polynomial within each element. Its attribute `is_still`, which selects this
+        smoothing, is therefore true.
+
+        The complementarity gap is the sum over all limits of multiplier times distance to the
+        limit; the next solve may stop at the gap that the damping prescribes. The new damping
+        prescribes the gap of this damping, but at least `gap` times the nominal magnitude of the
+        objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
 
     def applied_to(self, program: Transcription) -> ExtendedProgram:
-        """Return a program of the same model with the penalty added to its objective.
+        """Return a nonlinear program with the penalty of this damping added to its objective.
 
-        `program` is the nonlinear program of the model on the next mesh, without the penalty.
+        `program` is the nonlinear program of the model on the next mesh, without the penalty. The
+        result has the same unknowns and constraints as `program`.
         """
         mesh = program.mesh or self.solution.mesh
         return ExtendedProgram(
@@ -100,10 +107,11 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return the smoothed controls of the previous mesh, towards which controls are damped.
 
-        They are straight lines between the means of the controls over each element or, if
-        `is_still` is true, polynomials of low degree in each element, clipped to the limits of the
-        controls. `fractions` are the times of the result as fractions of the horizon. The result
-        has shape (n_fractions, n_controls).
+        The smoothed controls are straight lines between the means of the controls over each
+        element. If the objective hardly changes from mesh to mesh any more (the attribute
+        `is_still` is then true), the smoothed controls are instead polynomials of low degree in
+        each element, clipped to the limits of the controls. `fractions` are the times of the result
+        as fractions of the horizon. The result has shape (n_fractions, n_controls).
         """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
@@ -163,11 +171,12 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping of a solution's controls for the solve on the next mesh.
 
-    Damping is a penalty on the distance from the smoothed controls of the solution. A control is
-    damped if it is bounded and enters nearly linearly, that is if the Lagrangian's second
-    derivative with respect to the control is small. A control next to a corner of the cost chatters
-    in the same way, and is damped too: the cost has curvature at the corner only, and is linear
-    beside it.
+    Damping is a penalty on the distance from the smoothed controls of the solution. It prevents
+    controls from oscillating from point to point (chatter). A control is damped if it is bounded
+    and if the Lagrangian's second derivative with respect to the control is small at one or more
+    collocation points. The control then enters the problem nearly linearly there. This includes a
+    control on which the cost depends with a (smoothed) corner: the cost has curvature at the corner
+    only, and is linear beside it.
 
     Parameters
     ----------

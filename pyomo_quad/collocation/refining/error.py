@@ -630,10 +630,14 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    The errors of the objective and of all integrals are considered. The quadrature error is the
-    difference between the quadrature at the collocation points and a finer quadrature rule.
-    `solution` is the solution on one mesh, and `samples` has the integrands at the points of the
-    finer rule, which the function `_panelled` defines.
+    The quadrature error is the difference between the quadrature at the collocation points and a
+    finer quadrature rule. The errors of the objective and of all integrals are considered. The
+    error of the objective is divided by the nominal magnitude of the objective, and the error of an
+    integral by max(1, abs(integral)). Each error is extrapolated to the whole horizon: the error of
+    the element times the number of elements, but at most the sum over all elements.
+
+    `solution` is the solution on one mesh. `samples` has the integrands at the points of the finer
+    rule: a Gauss rule on four panels of each element, from the function `_panelled`.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations

@@ -511,9 +511,10 @@ def _firmer(firmness: float, settled: int) -> float:
     """Return an increased factor on the penalty on changes of the controls between meshes.
 
     The penalty, called damping, keeps the controls near those of the previous mesh. `firmness` is
-    the present factor on the penalty. The result is 5 times `firmness`, but at most a greatest
-    factor (or `firmness` itself, if that is larger). The greatest factor increases with `settled`,
-    the number of meshes on which the objective hardly changed.
+    the present factor on the penalty, and `settled` is the number of meshes on which the objective
+    hardly changed. The result is 5 times `firmness`, but at most 25. If `settled` is at least 4,
+    the upper limit is 125 instead of 25; if `settled` is at least 8, there is no upper limit. If
+    `firmness` already exceeds the upper limit, the result is `firmness`.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -631,11 +632,13 @@ def _is_limited_by_the_barrier(
     of the elements.
 
     The result is true if the solution has converged and two conditions hold. First, the error of
-    every element is at most `fine`. The attributes `switches` and `costs` of the error estimate are
-    not counted in this error, because they are estimated only if all other errors meet the
-    tolerance. Second, the complementarity gap (the amount by which Ipopt's barrier changes the
-    objective, relative to the objective) exceeds `tolerance`, or the scaled objective is so small
-    that it has no influence on Ipopt's convergence test.
+    every element is at most `fine`. Two kinds of error are not counted in the error of an element,
+    because they are estimated only if all other errors meet the tolerance: the cost of control
+    switches at a wrong time (attribute `switches` of the error estimate), and the change of the
+    objective by state errors, relative to the objective's own magnitude (attribute `costs`).
+    Second, the complementarity gap (the amount by which Ipopt's barrier changes the objective,
+    relative to the objective) exceeds `tolerance`, or the scaled objective is so small that it has
+    no influence on Ipopt's convergence test.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -657,14 +660,15 @@ class _Reached(Generic[S]):
     solution : Outcome
         The kept solution, found before the restart.
     shown : float, optional
-        Lower bound on the improvement of the objective by the restart, relative to the objective.
-        Each solution found since the restart gives a bound: its improvement over the kept solution,
-        less its estimated relative error. `shown` is the largest of these bounds. None before the
-        first solution after the restart.
+        Lower bound on the relative improvement of the objective by the restart. Relative means
+        divided by the nominal magnitude of the objective. Each solution that was found after the
+        restart gives a lower bound: (relative improvement of the objective from the kept solution
+        to the found solution) minus (estimated relative error of the found solution). `shown` is
+        the largest of these lower bounds. It is None before the first solution after the restart.
     earned : float
-        Improvement of the objective by the previous restart, relative to the objective: that of the
-        kept solution over the solution kept at the previous restart. 0 if there was no previous
-        restart.
+        Relative improvement of the objective by the previous restart. It is the improvement from
+        the solution that was kept at the previous restart to the solution that is kept now. It is 0
+        if there was no previous restart.
     """
 
     solution: S
