@@ -292,9 +292,9 @@ def terminal_miss_of(
 ) -> dict[str, float]:
     """Return the difference between final and required value of each state that must reach a value.
 
-    `state` is the final state of a flight, shape (n_states,), in the order of the equations
-    `dynamics`. `wanted` maps names of states to their required final values. The result maps the
-    same names to final minus required value.
+    `state` is the final state of a flight, shape (n_states,). Its entries are in the order of the
+    attribute `state_names` of the vehicle's equations `dynamics`. `wanted` maps names of states to
+    their required final values. The result maps the same names to final minus required value.
     """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}

@@ -72,8 +72,10 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
     Several paths along the route are tried, with different speeds and accelerations. A path that
-    keeps the limits is simulated under feedback. The search ends when a simulated flight confirms
-    its plan, or after the third simulation.
+    keeps the limits is simulated under feedback. A simulation confirms the plan along its path if
+    the simulated flight reaches the goal and keeps the limits, to the wide tolerances of a usable
+    plan (the flight may end half a metre from the goal). The search ends when a simulation confirms
+    a plan, or after the third simulation.
 
     Parameters
     ----------
@@ -106,14 +108,16 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 def _first_usable(
     mission: MissionProblem, journey: Journey, fastest: float, least_energy: float
 ) -> Plan | None:
-    """Return the plan along the first path of a journey whose simulated flight confirms it.
+    """Return the first plan along a journey that a simulation confirms as usable.
 
-    A journey is a route for each leg of the mission. Paths along `journey` with different speeds
-    and accelerations are tried in turn. `fastest` is the greatest speed [m/s]. `least_energy` is
-    the energy of steady flight along the journey, with which the plan's energy is compared [J]. If
-    all limits that a path breaks are limits of the airspace (zones, fence, floor, ceiling), a path
-    that stays closer to the lines of the route at corners is tried next. A path that breaks no
-    limit is simulated. If no simulation confirms its plan, the result is the plan simulated last,
+    A plan is usable if its simulated flight reaches the goal and keeps the limits, to wide
+    tolerances (the flight may end half a metre from the goal). A journey is a route for each leg of
+    the mission. Paths along `journey` with different speeds and accelerations are tried in turn.
+    `fastest` is the greatest speed [m/s]. `least_energy` is the energy of steady flight along the
+    journey [J]; the energy of each plan is compared with it. If all limits that a path breaks are
+    limits of the airspace (zones, fence, floor, ceiling), a path that stays closer to the lines of
+    the route at corners is tried next. A path that breaks no limit is simulated. At most three
+    paths are simulated. If no simulation confirms a plan, the result is the plan simulated last,
     or None if no path was simulated.
     """
     found: Plan | None = None
@@ -156,9 +160,11 @@ def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> Smoot
 
 
 def _stops(told: Scenario, journey: Journey) -> list[Stop]:
-    """Return start, corners and goal of a journey, with hovers and speeds at waypoints.
+    """Return start, corners and goal of a journey, as a list of stops in the order of the flight.
 
-    A journey is a route for each leg of the mission `told`.
+    `journey` is a route for each leg of the mission `told`. Corners are the places at which a route
+    changes its direction, and the waypoints. The stop at a waypoint also has the waypoint's speed
+    limit and the duration of its hover.
     """
     stops = [Stop(place=journey[0].places[0])]
     for k, route in enumerate(journey):
@@ -192,12 +198,13 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 
 
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
-    """Return a plan whose vehicle is exactly on a path, and a solution with the same times.
+    """Return a plan whose vehicle is exactly on a path, and an unconverged solution for its times.
 
     `path` is the path, and `journey` the journey that the path follows: a route for each leg of the
-    mission. The plan has not been simulated. The solution is the initial point of a solve, without
-    any iteration, for the duration and the passing times of the path. The plan takes its equations
-    from this solution.
+    mission. The plan has not been simulated. The solution is the initial point of a solve of the
+    mission, without any iteration. Its duration and its passing times of waypoints are those of the
+    path. The solution is needed because it contains the equations of the vehicle, with which the
+    plan is simulated.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -230,9 +237,9 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 
     `plan` is a plan whose vehicle is exactly on its path. Violations of zones and other limits of
     the airspace by less than 0.1 m are left out, because they can be removed in the simulation. Of
-    the other limits, only violations that interpolation causes are left out. The wider tolerances
-    of a usable plan are not applied here: the simulated flight needs them, because its feedback
-    takes more thrust and tilt than the path.
+    the other limits, only violations as small as those that interpolation causes are left out. The
+    simulated flight is later checked against wider tolerances. These are not applied to the path,
+    because the feedback in the simulation takes more thrust and tilt than the path.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
@@ -277,13 +284,14 @@ def _flat(
 ) -> Trajectories:
     """Return states and controls of a vehicle on a path, by differential flatness.
 
-    `path` is the path, `dynamics` has the equations of the vehicle, and `steady` gives its state in
-    hover. The yaw angle follows from the headings at start and goal of the mission `told`. The
-    thrust is the mass times the difference between the acceleration of the path and that by
-    weight and air alone; its direction and the heading determine the attitude, and its magnitude
-    the common speed of the rotors. Implements docs/theory/geometric_plan.md, eqs. (5) and (6). The
-    moments that turn the vehicle are neglected: feedback adds them in the simulation. Costates and
-    energies are zero.
+    `path` is the path, and `dynamics` has the equations of the vehicle. `steady`, the calculator of
+    steady flight, gives the state of the vehicle in hover. The yaw angle follows from the headings
+    at start and goal of the mission `told`. The thrust is the mass times the difference between two
+    accelerations: that of the path, and that which weight and air alone would cause. The direction
+    of the thrust and the yaw angle determine the attitude; the magnitude of the thrust determines
+    the speed of the rotors, which is the same for all. Implements docs/theory/geometric_plan.md,
+    eqs. (5) and (6). The moments that turn the vehicle are neglected: feedback adds them in the
+    simulation. Costates and energies of the result are zero.
     """
     names, mesh = dynamics.state_names, _mesh(path)
     times = path.duration * mesh.node_fractions
@@ -335,9 +343,11 @@ def _flat(
 
 
 def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> FloatArray:
-    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3), without controls.
+    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3), for zero controls.
 
-    `times` are in s, and `states` has the states at these times, shape (n, n_states).
+    The acceleration is along world x, y and z. `dynamics` has the equations of the vehicle, whose
+    controls are set to zero. `times` are the n times [s], and `states` has the states at these
+    times, shape (n, n_states).
     """
     none = np.zeros(len(dynamics.control_names))
     rows = zip(times.tolist(), states, strict=True)

@@ -174,12 +174,13 @@ class Approach:
     def goes_on(self) -> bool:
         """Return whether to solve for the next duration.
 
-        This is the case if there is no plan yet, or if the last plan is verified.
+        This is the case if there is no plan yet, or if the last plan is verified. A plan is
+        verified if a simulation confirms it to the accuracy that the mission requests.
         """
         return not self.plans or self.plans[-1].is_verified
 
     def fly(self, lasting: float) -> str:
-        """Solve the mission for a duration of ``lasting`` [s].
+        """Solve the mission for a duration of ``lasting`` [s], and append the plan to `plans`.
 
         The solve starts from the previous plan; the first solve starts from the solution of least
         duration.
@@ -187,7 +188,7 @@ class Approach:
         Returns
         -------
         str
-            Status of the plan.
+            Status of the new plan in words, such as "verified" or "not_converged".
         """
         start = self.plans[-1].solution if self.plans else self.shortest
         self.search.begin_effort(self._most)
@@ -200,7 +201,9 @@ class Approach:
     def closest(self) -> Plan:
         """Verified plan of the shortest duration, or the first plan if none is verified.
 
-        The message of the returned plan also states the plan's duration and the least duration.
+        A plan is verified if a simulation confirms it to the accuracy that the mission requests.
+        In the plan returned, two durations are appended to the text of the attribute `message`:
+        the duration of the plan, and the least duration of the mission.
         """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (

@@ -43,11 +43,11 @@ class OrderSearch:
         Indices of the scenario's waypoints, in the order in which the plan visits them.
     cost_J : float
         Cost of this order [J], the sum of the costs of its legs. A leg is the flight from one place
-        to the next, from hover to hover; its cost is the energy plus the price of time times the
-        duration.
+        to the next, from hover to hover. The cost of a leg is its energy plus a weight [W], the
+        mission's price of time, times its duration.
     bound_J : float
-        Lower bound on the cost of an order [J], for every order of the waypoints. For the costs of
-        legs that were not solved it uses optimistic predictions.
+        Lower bound on the cost of an order [J], for every order of the waypoints. The bound uses
+        optimistic predictions for the costs of legs for which no flight was solved.
     solved, legs : int
         Number of legs for which a flight was solved, and number of all legs that orders may use.
     """
@@ -89,8 +89,8 @@ class OrderSearch:
 def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, the cheapest first.
 
-    The result is exact for up to `MOST_EXACT` places. For more places it holds the best orders that
-    a local search finds.
+    If there are at most 12 places (the constant `MOST_EXACT`), the result is exact. For more places
+    it holds the best orders that a local search finds.
 
     Parameters
     ----------
@@ -111,9 +111,10 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 def cost_of(costs: FloatArray, order: _Order) -> float:
     """Return the cost of an order of places: the sum of the costs of its legs.
 
-    `costs` is the table of leg costs: entry (i, j) is the cost of the leg from place i to place j,
-    place 0 is the start and the last place the goal. `order` has the numbers of the places between
-    them, counted from 0 (place k + 1 of the table is number k).
+    `costs` is the table of leg costs: entry (i, j) is the cost of the leg from the place of row i
+    to the place of column j. Index 0 is the start, and the last index is the goal. `order` lists
+    the places between start and goal in the order of the flight. Each place is given by its index
+    in the table minus 1, so that the first place after the start in the table is 0.
     """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
@@ -217,8 +218,8 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
     """Return a table of leg costs in which infinite costs are replaced by large finite numbers.
 
     Some algorithms need finite numbers. `costs` is the table of leg costs; an infinite cost marks a
-    leg (flight between two places) that is not allowed. It is replaced by a number above the cost
-    of any order of allowed legs.
+    leg (flight between two places) that is not allowed. All infinite costs are replaced by the same
+    number, which is above the cost of any order that uses allowed legs only.
     """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
@@ -327,13 +328,15 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
     """Return leg costs that do not depend on direction, for the lower bound by spanning trees.
 
-    A leg is the flight from one place to another. Climbs and head winds make its cost depend on the
-    direction. To remove most of this dependence, each place gets a number, its potential, and the
-    difference between the potentials of a leg's two ends is added to the cost of the leg. This does
-    not change the cost of any order; see docs/theory/orders.md, eq. (3). The symmetric cost of a
-    leg is then the cost in the cheaper direction. Legs that are allowed in one direction only are
-    not used to determine the potentials. `costs` is the table of leg costs, and `finite` the same
-    table with large numbers in place of infinite costs.
+    A leg is the flight from one place to another. Climbs and head winds make the cost of a leg
+    depend on the direction. To remove most of this dependence, each place gets a number, its
+    potential, which is zero for start and goal. The potential of the place where a leg begins is
+    added to the cost of the leg, and the potential of the place where the leg ends is subtracted.
+    This does not change the cost of any order; see docs/theory/orders.md, eq. (3). The symmetric
+    cost of a leg between two places is then the cost in the cheaper direction. Legs that are
+    allowed in one direction only are not used to determine the potentials. `costs` is the table of
+    leg costs, and `finite` the same table with large numbers in place of infinite costs. The result
+    is a table of the same shape.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]

@@ -526,8 +526,10 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    In RotorPy the wind acts only through the airspeed. The paper (Yacef et al.) has a wind that
-    acts as an acceleration, in eq. (9); a scenario has it with `wind.coupling = "acceleration"`.
+    In RotorPy the wind acts only through the airspeed. A scenario with the setting `wind.coupling =
+    "acceleration"` instead has a wind that is an acceleration of the vehicle, as in eq. (9) of
+    Yacef et al., the paper from which the quadrotor model of this package is taken. No error is
+    raised if this wind is zero.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -706,10 +708,11 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]
     """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
     The law is applied to RotorPy's vehicle `plant`. The times are the boundaries of the plan's mesh
-    elements. The law returns the planned rotor accelerations. The attribute `command_rate_hz` of
-    the simulation's switches `Habits` may prescribe that motors receive rotor-speed commands at a
-    fixed rate. In this case the law adds the acceleration that removes the difference between
-    planned and actual rotor speed, so that the command equals the planned rotor speed.
+    elements. The law returns the planned rotor accelerations. The attribute `plant.habits`
+    (switches for features of RotorPy's own simulation) may prescribe that the motors receive
+    rotor-speed commands at a fixed rate. In this case the law adds, to the planned rotor
+    acceleration, the difference between planned and actual rotor speed over the time constant of
+    the motors. The rotor-speed command then depends on the planned flight only.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

@@ -23,7 +23,11 @@ if TYPE_CHECKING:
 
 
 def most_solves() -> int:
-    """Return the number of solves that run at the same time on this machine; 1 without copies."""
+    """Return the number of solves of a mission that may run at the same time on this machine.
+
+    It is the number of available cores. It is 1 where this process must not be forked, for example
+    on systems other than Linux.
+    """
     return cores(os.cpu_count() or 1, use_blas=True)
 
 
@@ -32,14 +36,16 @@ def solve_side_by_side(
 ) -> tuple[Solution, ...]:
     """Carry out solves of a mission, as many at the same time as there are cores.
 
-    The solutions do not depend on the number of cores. If the search for a plan is stopped, the
-    solves in copies are given up.
+    Solves run in forked copies of this process, and in this process. The solutions do not depend on
+    the number of cores. If the search for a plan is stopped, the solves in copies are given up.
 
     Parameters
     ----------
     mission : MissionProblem
-        Compiled problem of the mission. Its search for a plan (attribute `search`) receives the
-        usable plans and the work of the copies.
+        Compiled problem of the mission. Two results of each copy are passed on to the attribute
+        `mission.search` (progress callback of the solves): the best usable plan of the copy, and
+        the number of mesh points that the copy processed, summed over the iterations of Ipopt. A
+        usable plan is a plan that simulation confirms at lower accuracy than requested.
     solves : sequence of callable
         Functions without arguments, each of which solves the problem of `mission`.
 
@@ -80,10 +86,12 @@ def solve_side_by_side(
 
 
 class _Sent(NamedTuple):
-    """Result of a solve in a copy: its solution, a better usable plan, and the work it took.
+    """Result of a solve in a forked copy of this process, as the copy sends it back.
 
-    The usable plan is None if the copy found none that is better than that of the original process.
-    The work is the number of mesh points, summed over the iterations of Ipopt.
+    `solution` is the solution. `usable` is the best usable plan that the copy made: a plan that
+    simulation confirms at lower accuracy than requested. `usable` is None if the copy made no
+    usable plan that is better than the one that the original process had before the fork. `work`
+    is the number of mesh points, summed over the iterations of Ipopt.
     """
 
     solution: Solution
@@ -96,10 +104,13 @@ _SHARED: list[object] = []
 
 
 def _reduced(sent: object) -> Any:
-    """Reduce an object that a copy sends back: to its place if it is shared, else as usual.
+    """Reduce an object for `pickle`, in a forked copy of this process that sends the object back.
 
-    `sent` is an object of the type of one of the shared objects. The result is a reduction as the
-    module `pickle` defines it: a function and its arguments, from which the object is made again.
+    The list `_SHARED` has the objects that the copy and the original process both have: the
+    problem of the mission and its compiled form. If `sent` is one of these objects, only its index
+    in the list is sent; another object of the same type is sent as a whole. The result is a
+    reduction as the module `pickle` defines it: a function and its arguments, from which the
+    receiver makes the object again.
     """
     for place, shared in enumerate(_SHARED):
         if sent is shared:
@@ -108,5 +119,10 @@ def _reduced(sent: object) -> Any:
 
 
 def _shared(place: int) -> object:
-    """Return the shared object that has a place in the list."""
+    """Return the object with the index `place` in the list `_SHARED`.
+
+    The list has the objects that forked copies of this process do not send back, because the
+    original process has them: the problem of the mission and its compiled form. `pickle` calls this
+    function in the original process, to replace the index that a copy has sent.
+    """
     return _SHARED[place]

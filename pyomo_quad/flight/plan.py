@@ -442,8 +442,10 @@ class Plan(Summarised):
         Comparison of the plan with the simulation of its controls; None if the controls were not
         simulated, for example because the solve failed.
     error_estimate : float
-        Estimate of the largest relative error of any state in any element of the mesh; or, if that
-        is larger, the relative difference between the plan's energy and the least energy.
+        Estimate of the largest relative error of any state in any element of the mesh. If feedback
+        corrected the controls after the solve, it is at least the relative difference between the
+        corrected plan's energy and an estimate of the mission's least energy (as a rule the energy
+        of the uncorrected solution).
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -524,9 +526,9 @@ class Plan(Summarised):
     def risk_words(self) -> str:
         """Sentence on the risk of the plan and the energy that its margins cost.
 
-        For a plan without margins, it is a warning. The risk is the probability that a flight in
-        turbulence breaks a limit. Margins are the amounts by which limits were tightened for the
-        plan.
+        The risk is the probability that a flight in turbulence breaks a limit. Margins are the
+        amounts by which limits were tightened for the plan. If the plan has no margins, the
+        sentence is a warning that gusts or a wrong wind forecast would break the limits.
         """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 

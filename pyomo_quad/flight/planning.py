@@ -114,10 +114,13 @@ class Planner(Problems):
 
         First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
         durations that decrease towards the least duration, each from the previous solution. The
-        plan returned is the last verified flight. If the minimum-time problem cannot be solved, the
-        mission is solved without the aim of least time, and the plan gets the status "not
-        converged". Only in this case is the initial point `start` used (None for the model's own):
-        the solve without the aim starts from it. `search` is the progress callback of all solves.
+        plan returned is the one of the shortest duration that a simulation confirms to the
+        requested accuracy, or the first one if there is none.
+
+        If the minimum-time problem cannot be solved, the mission is solved for the least energy,
+        without the aim of least time. The plan of this solve is returned with the status "not
+        converged". Only this solve uses `start`, its initial point (None for the model's own).
+        `search` is the progress callback of all solves.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

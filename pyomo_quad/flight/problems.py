@@ -33,10 +33,10 @@ Builder = Callable[[Scenario], Any]
 def _start_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    It is used to decide whether a cached problem can simulate a scenario. The key is the scenario
-    without duration, wind and settings of baseline flights (flights of a controller along a
-    reference, with which a plan is compared). If the duration is fixed, the initial states do not
-    depend on these.
+    The key is used to decide whether the cached problem of another scenario can simulate a
+    scenario. It is for scenarios of fixed duration. The key is the scenario without three parts on
+    which the initial states of its problem do not depend: the duration, the wind, and the settings
+    of baseline flights (flights of a controller along a reference, with which a plan is compared).
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -156,10 +156,13 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        This is the case if the cached problem was built for a scenario that differs only in a fixed
-        duration, in its wind, or in its settings of baseline flights (flights of a controller along
-        a reference, with which a plan is compared). A wind measured over time is excluded, because
-        the model samples this wind at fractions of the duration.
+        Scenarios of the same structure share a cached problem, which was built for one of them. The
+        result is True if `scenario` differs from that one only in a fixed duration, in its wind,
+        or in its settings of baseline flights (flights of a controller along a reference, with
+        which a plan is compared). If the duration of either scenario is free, they may differ only
+        in their wind. The result is False if the cache has no such problem, for a user's own model,
+        and for a wind measured over time, because the model samples this wind at fractions of the
+        duration.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         if built_for is None or not self.is_declared or scenario.wind.series is not None:

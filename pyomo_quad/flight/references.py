@@ -124,8 +124,9 @@ class WaypointPath:
     mission : Mission
         Mission with a time for each waypoint and a fixed duration.
     derivatives : int
-        Number n of derivatives that are zero at rest; the spline of degree 2 n + 1 minimises the
-        integral of the square of the next derivative.
+        Number n of time derivatives of the position that are zero at rest, the velocity being the
+        first. The spline has degree 2 n + 1, and minimises the integral of the square of the
+        derivative of order n + 1.
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
@@ -153,10 +154,11 @@ class WaypointPath:
 
 
 class _Steps:
-    """Reference path that jumps from place to place.
+    """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    It stays at each waypoint until the time at which the waypoint is left, and then jumps to the
-    next waypoint or to the goal.
+    The reference is at the first waypoint from the start of the flight. It stays at each waypoint
+    until the time at which the vehicle is to leave the waypoint (its prescribed time, plus the
+    duration of its hover), and then jumps to the next waypoint or to the goal.
     """
 
     def __init__(self, mission: Mission) -> None:
