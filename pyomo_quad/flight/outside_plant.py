@@ -712,7 +712,8 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]
     (switches for features of RotorPy's own simulation) may prescribe that the motors receive
     rotor-speed commands at a fixed rate. In this case the law adds, to the planned rotor
     acceleration, the difference between planned and actual rotor speed over the time constant of
-    the motors. The rotor-speed command then depends on the planned flight only.
+    the motors. The rotor-speed command is then the planned rotor speed plus the planned rotor
+    acceleration times that time constant.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon
