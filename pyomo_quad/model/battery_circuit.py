@@ -162,8 +162,9 @@ def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def _line(equation: object) -> str:
     """Return the first line of the docstring of an equation's function, without the final period.
 
-    The function `equation` is the Pyomo rule of a constraint or expression, whose documentation
-    text becomes this line. Reports print the text as the description of the equation.
+    The function `equation` is the Pyomo rule of a constraint or expression. The result is used as
+    the documentation text of this constraint or expression, which reports print as the description
+    of the equation.
     """
     return str(equation.__doc__).partition("\n")[0].rstrip(".")
 

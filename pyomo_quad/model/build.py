@@ -115,12 +115,13 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        The model of `build_model` with four differences: the states at the start are mutable
-        parameters of block `start`; the flight ends in steady hover, tilted against the wind; the
-        mutable parameter `aerodynamics.unexplained` adds a horizontal acceleration (zero unless the
-        planner in flight sets it to the difference between observed and modelled acceleration); and
-        the limits are soft, that is a flight may violate them at a penalty
-        (see `model.soft_limits`).
+        The model of `build_model` with four differences. The states at the start are mutable
+        parameters of block `start`. The flight ends in steady hover, tilted against the wind. The
+        mutable parameter `aerodynamics.unexplained` adds a horizontal acceleration [m/s^2] to the
+        modelled one. The parameter is initially zero; the planner that replans the mission during
+        the flight sets it to the difference between observed and modelled acceleration. The limits
+        are soft: a flight may violate them, but each violation adds a penalty to the objective (see
+        the module `model.soft_limits`).
 
     Examples
     --------
@@ -181,7 +182,8 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
 
     They are added to the Pyomo model `m`, which already declares motion, wind and power. The
-    objective is the energy of the flight, plus the price of the duration if the duration is free.
+    objective is the energy of the flight [J]. If the optimiser chooses the duration, the product of
+    the scenario's field `mission.price_of_time` [W] and the duration [s] is added to the objective.
     If the mission minimises the charge, the objective also includes the energy lost inside the
     pack, see docs/theory/battery.md, eq. (12). `scenario` gives the values and selects the limits.
     """

@@ -123,7 +123,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     scenario. The parameters are position and heading at start and goal, the conditions at waypoints
     (such as radius, greatest speed and time of hover), and limits on the motion during a hover. If
     the mission keeps the heading, the limit on the yaw rate is a parameter, too. If the duration is
-    free, its least and greatest value and the price of time are parameters, too.
+    free, its least and greatest value and `price_of_time` [W] are parameters, too. The objective
+    contains `price_of_time` times the duration.
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -404,8 +405,10 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
     Models for replanning in flight use this end condition. In wind, a vehicle at rest with a level
-    attitude is not in equilibrium: the vehicle can be at rest and level for an instant only, by a
-    well-timed swing. If the wind is not known exactly, the vehicle misses the instant.
+    attitude is not in equilibrium, because the wind accelerates it. A plan that ends at rest and
+    level therefore reaches this state for an instant only, while the attitude swings through level.
+    If the actual wind differs from the wind of the plan, the vehicle is not at rest at this
+    instant.
 
     Parameters
     ----------

@@ -4,9 +4,11 @@ Each model is a function that declares the power of every rotor, which may be ne
 rotor brakes. With regeneration (`power.regeneration`), this power counts as it is; without
 regeneration, a negative power is replaced by zero, with a smooth transition. The energy of the
 flight is the integral over time of the power of all rotors, eq. (8) of the paper (Yacef et al.).
-The paper prints two sums, one over the rotors and one, for each rotor, over the speeds of all
-rotors. They are read as a single sum over the four rotors. In the table, v and i are voltage and
-current of the motor, tau its torque, omega the rotor speed and alpha the rotor acceleration:
+Eq. (8) is printed with a double sum: over the rotors and, for each rotor, over the speeds of all
+rotors. Here the double sum is taken to mean a single sum over the four rotors. In the table, v and
+i are voltage and current of a motor, tau is the torque of the motor, omega the rotor speed, alpha
+the rotor acceleration, eta a constant efficiency, and f_r the efficiency of motor and rotor in the
+paper, a polynomial:
 
 name | power of one rotor | convex in alpha | convex in thrust in steady flight
 motor | v i | yes | yes
@@ -42,10 +44,11 @@ rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs togeth
 
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
 into its own wake, the equation has no solution, or three. In descent, a term a v_a^2 is therefore
-added under the root, with a number a (tau in the theory page, not the torque). With a >= 1/8 there
-is exactly one solution. With a = 1/7.67, used here, v_i stays within 0.13 v_h of the curve that
-Leishman (2006), eq. (2.96), fits to measurements on descending rotors down to v_a = -0.5 v_h, and
-within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the air flows upwards through the rotor.
+added under the root, with a constant a. (The page docs/theory/momentum_power.md calls this constant
+tau; it is not a torque.) With a >= 1/8 there is exactly one solution. With a = 1/7.67, used here,
+v_i stays within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measurements on
+descending rotors down to v_a = -0.5 v_h, and within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the
+air flows upwards through the rotor.
 
 Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). The profile
 power depends on the thrust and not on the rotor speed, so that c_0 is valid for any payload and
@@ -191,7 +194,8 @@ def declare_error(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `power`, to whose total no other component refers yet.
+        Model that already declares the block `power`. No other component of the model may refer to
+        the total power `power.total` yet, because this expression is replaced.
     """
     b = m.power
     b.error = Param(initialize=0.0, mutable=True, doc="relative error of the modelled power")
@@ -350,9 +354,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
     The motor's torque includes dry and viscous friction. The current follows from this torque, and
     the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
-    convex in the rotor acceleration. The power is not convex in thrust, because viscous and dry
-    friction make the first newton of thrust the most expensive. The published friction
-    constants seem ten times too high: hover takes 1.3 kW.
+    convex in the rotor acceleration. The power is not convex in thrust: because of viscous and dry
+    friction, at small thrust each further newton takes less power than the newton before. The
+    published friction constants seem ten times too high: hover takes 1.3 kW.
 
     Parameters
     ----------

@@ -27,7 +27,8 @@ class Severity(StrEnum):
     """Severity of a finding, the result of a check of a model or scenario.
 
     `IMPOSSIBLE` means that no flight can satisfy the model or scenario, `UNPHYSICAL` that numbers
-    of the vehicle contradict physics, and `CAUTION` that the user should check a declaration.
+    of the vehicle contradict physics, and `CAUTION` that the user should check a field of the
+    scenario or a component of the model.
     """
 
     IMPOSSIBLE = "impossible"
@@ -42,13 +43,13 @@ class Finding:
     Attributes
     ----------
     severity : Severity
-        Whether no flight is possible, numbers contradict physics, or the user should check a
-        declaration.
+        Whether no flight is possible, numbers contradict physics, or the user should check the
+        subject of the finding.
     subject : str
         What the finding is about: the dotted path of a field of the scenario, or the full name of a
         component of the model.
     message : str
-        One line: field or declaration, value found, allowed range.
+        One line: the subject, what was found and, where there is one, the allowed range.
     """
 
     severity: Severity
@@ -78,7 +79,11 @@ class _Interval:
 
 
 def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
-    """Return findings on unscaled, unbounded, redundant and contradictory declarations of a model.
+    """Return findings on the variables and limits of a model.
+
+    The findings are on variables without a scaling factor, controls without bounds, limits that are
+    never active because another limit of the same variable is tighter, limits that contradict each
+    other, and equality constraints that set a variable to a value outside its limits.
 
     Parameters
     ----------
@@ -88,7 +93,7 @@ def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
     Returns
     -------
     tuple of Finding
-        Empty if no declaration needs the user's attention.
+        Empty if all these checks pass.
     """
     intervals = _intervals(model)
     return (
@@ -312,7 +317,7 @@ class ModelInspection:
 
 
 def inspect_model(model: ConcreteModel) -> ModelInspection:
-    """Count the declarations of a continuous model and check its units.
+    """Count variables, equations and parameters of a continuous model, and check its units.
 
     Parameters
     ----------
@@ -322,7 +327,8 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     Returns
     -------
     ModelInspection
-        Counts at one time inside the flight.
+        The counts and the unit errors. A variable or constraint over time is counted once, and not
+        for each time.
 
     Examples
     --------

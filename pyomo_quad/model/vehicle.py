@@ -2,7 +2,7 @@
 
 symbol | name | unit | meaning
 m | mass | kg | vehicle and payload
-g | gravity | m/s2 | the paper's 9.81
+g | gravity | m/s2 | 9.81, as in the paper of Yacef et al.
 l | arm_length | m | centre of mass to rotor shaft
 I_x, I_y, I_z | Ix, Iy, Iz | kg m2 | moments of inertia about the body axes
 kappa_b | thrust_coefficient | N s2 | thrust over rotor speed squared

@@ -294,8 +294,10 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    Every mutable parameter of block `wind` with the unit of a speed is zero, so that a wind that a
-    user has declared is switched off as well. A wind that is not a parameter remains.
+    The result has every mutable parameter of block `wind` with the unit of a speed. Its value is
+    zero or, for a parameter over time, the function of time that is zero. Parameters that a user
+    has added to the block are included, so that the user's own wind is zero, too. A wind that does
+    not depend on such parameters is not set to zero. `m` is the mission's model.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -402,9 +404,9 @@ def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
 
     The spline is a cubic not-a-knot spline in the height, a weighted sum of the basis functions.
     `heights` [m] are the heights at which the wind was measured. Below the lowest and above the
-    highest of these heights, the spline is constant; the transition is smoothed as in a wind
-    profile. The basis functions, at the vehicle's height, are expressions over time in `b`, the
-    block `wind` of the model `m`.
+    highest of these heights, the spline is constant. The transition to the constant value is
+    smoothed over a width of 0.1 m (the constant `HEIGHT_SMOOTHING`). The basis functions, at the
+    vehicle's height, are expressions over time in `b`, the block `wind` of the model `m`.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 

@@ -9,16 +9,20 @@ values on the grid. The class `collocation.Table` evaluates this product. The co
 differentiable with exact derivatives, and the cost of an evaluation does not grow with the grid.
 Along an axis of two or three points, the component is the line or parabola through the values. Grid
 points without wind, such as points inside a building, get the wind of the nearest point with wind,
-because a spline needs a value everywhere. A flight through places whose nearest grid point has no
-wind is refused, with the message of the function `unknown_wind`, unless `wind.beyond` is "hold".
+because a spline needs a value everywhere.
+
+The scenario's field `wind.beyond` selects what happens where the field has no wind: "refuse", the
+default, permits no flight there, and "hold" uses the nearest known wind. With "refuse", a flight
+through places whose nearest grid point has no wind is refused, with the message of the function
+`unknown_wind`.
 
 Outside of the grid the spline has no meaning, and its values could make it seem favourable to fly
 there. Flights therefore stay within the edges of the grid; the module `model.airspace` declares
 this limit.
 
 With `wind.beyond` "hold", there is no such limit: the place is clipped smoothly to the grid, and
-outside of the grid the wind of the border blows. Inside of the grid, at more than a tenth of a step
-from the border, the clipped place equals the vehicle's place to 1e-10 of a step.
+outside of the grid the wind of the border blows. Inside of the grid, at more than a tenth of a grid
+step from the border, the clipped place equals the vehicle's place to 1e-10 of a grid step.
 """
 
 from collections.abc import Sequence
@@ -165,9 +169,11 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 
     Implements docs/theory/bound.md, eq. (21).
 
-    In each cell of the grid the spline is a polynomial of degree three along every axis, and lies
-    in the convex hull of its control points (Bernstein coefficients). Cells that have wind at none
-    of their corners are left out unless `wind.beyond` is "hold", since no flight may enter them.
+    In each cell of the grid the spline through the wind is a polynomial of degree three along every
+    axis, and lies in the convex hull of its control points (Bernstein coefficients). Cells that
+    have wind at none of their corners are left out, since no flight may enter them. If the
+    scenario's field `wind.beyond` is "hold", the nearest known wind is used in such cells, flights
+    may enter them, and no cell is left out.
 
     Parameters
     ----------
@@ -178,9 +184,10 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     -------
     ndarray, shape (n, 3)
         Components of the wind along x, y and z [m/s] at the n corners. The polyhedron is a prism in
-        the space of these components. Its base is the smallest polygon around the horizontal
-        components whose sides have eight (the constant `_SIDES`) equally spaced directions; along z
-        it extends from the least to the greatest vertical wind.
+        the space of these components. The base of the prism is an octagon: among the polygons with
+        eight sides (the constant `_SIDES`) in equally spaced directions, it is the smallest that
+        contains the horizontal components of all control points. Along z, the prism extends from
+        the least to the greatest vertical component.
 
     Raises
     ------
@@ -261,7 +268,9 @@ class ColumnWinds:
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     """Return bounds of the horizontal wind in the vertical column over each cell of a field's grid.
 
-    The bounds follow from the control points (Bernstein coefficients) of the splines.
+    In each cell of the grid, the spline through the wind is a polynomial, and lies in the convex
+    hull of its control points (Bernstein coefficients). The bounds of a column are the least and
+    the greatest control point of those of its cells that a flight may enter.
 
     Parameters
     ----------
@@ -271,6 +280,8 @@ def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     Returns
     -------
     ColumnWinds
+        Lower and upper bounds of the wind along x and y in each column [m/s], the edges of the
+        columns [m], and whether a flight may enter a column.
 
     Raises
     ------
@@ -340,8 +351,9 @@ def is_wind_known(
     Parameters
     ----------
     scenario : Scenario
-        Scenario of the flight. If its wind is not a wind field, or `wind.beyond` is "hold", the
-        result is true everywhere.
+        Scenario of the flight. The result is true everywhere if the scenario has no wind field, or
+        if its field `wind.beyond` is "hold", by which the nearest known wind is used where the wind
+        field has no value.
     times : ndarray, shape (n,), or float
         Times in flight [s].
     places : ndarray, shape (n, 3)
@@ -350,6 +362,7 @@ def is_wind_known(
     Returns
     -------
     ndarray of bool, shape (n,)
+        True where the wind field has a value.
     """
     wind = scenario.wind
     if wind.grid is None or wind.beyond is Beyond.HOLD:

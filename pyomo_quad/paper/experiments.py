@@ -204,8 +204,8 @@ class PaperFlight:
         The planned flight.
     status : PlanStatus
         Outcome of planning the flight. Under the efficiency f_r of Yacef et al., the solve may end
-        without convergence, so that the flight is not proven optimal, although a simulation of the
-        planned controls confirms the flight (`flight.is_verified`).
+        without convergence, so that the flight is not proven optimal. A simulation of the planned
+        controls may confirm the flight even then; `flight.is_verified` is true if it does.
     hover_energy_J : float
         Energy of hovering for the same time under the same power model.
     end_prices : mapping

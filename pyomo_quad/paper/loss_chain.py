@@ -59,9 +59,9 @@ class EnergyChain:
     def created(self) -> float:
         """Shaft energy in excess of the electrical energy that leaves the motors' windings [J].
 
-        This energy is not physical. It arises because the torque constant k_t that Yacef et al.
-        print exceeds 1/k_v, so that the shaft power (torque times speed) exceeds the electromotive
-        force times the current.
+        This energy is not physical. It arises because the torque constant k_t of the motor that
+        Yacef et al. print exceeds 1/k_v, where k_v is their speed constant (speed over voltage).
+        The shaft power (torque times speed) then exceeds the electromotive force times the current.
         """
         return self.shaft - self.passed
 
