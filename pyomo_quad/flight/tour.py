@@ -373,8 +373,12 @@ class BestOrder:
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
         """Return the plan for the cheapest order of the waypoints, refined and verified.
 
-        `solve` takes the scenario with its waypoints in this order, an initial point for the search
-        (or None) and the search (the progress callback); it returns a verified plan.
+        The cheapest order is the order whose solution on a coarse mesh has the least cost. `solve`
+        is a function that solves a scenario and returns a verified plan. It is called with three
+        arguments: the scenario with its waypoints in the cheapest order; the initial guess, which
+        is made from the solution on the coarse mesh, or None if no solve on the coarse mesh
+        succeeded; and the `Search` object, the progress callback of all solves, which also has
+        their time limit.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
@@ -386,12 +390,13 @@ class BestOrder:
         return replace(plan, order_search=best if best.legs else None)
 
     def _leg(self, alone: Scenario, mesh: Mesh, route: Route | None) -> Solution:
-        """Solve for the flight between two places on one mesh.
+        """Solve for the flight from one place of the mission to another, and return the solution.
 
-        `alone` is the scenario of this flight, without waypoints. `route` leads round the zones and
-        is the initial guess; if it is None, the flight is straight and the solve starts from the
-        model's own initial guess. (Starting from the solution of another leg would not save
-        iterations.) `mesh` is the mesh.
+        The places are start, goal and waypoints of the mission. `alone` is the scenario of this
+        flight, without waypoints, and `mesh` is the collocation mesh of the solve. `route` is a
+        route round the keep-out zones, from which the initial guess is made. If `route` is None,
+        the solve starts from the model's own initial guess, a straight flight. (Starting from the
+        solution of another leg would not save iterations.)
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if route is not None:

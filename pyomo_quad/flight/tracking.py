@@ -222,10 +222,12 @@ class _Regulator:
     gains : ndarray, shape (n, n_controls, n_states)
         Feedback matrices K: the correction of the controls is -K times the deviation; eq. (4).
     values : ndarray, shape (n, n_states, n_states)
-        Matrices P of the quadratic cost from the end of each element on; eq. (4).
+        Matrices P of the quadratic cost from the end of each element to the end of the flight;
+        eq. (4).
     inverses : ndarray, shape (n, n_controls, n_controls)
         Inverses of the Hessian of the cost with respect to the correction of the controls,
-        (h R + G^T P G)^-1 of eq. (4).
+        (h R + G^T P G)^-1 of eq. (4), with the duration h of the element and the weights R of
+        squared corrections.
     """
 
     transitions: FloatArray
@@ -239,8 +241,9 @@ class _Regulator:
 
         The displaced path does not satisfy the linearised equations of motion. Its defect in each
         element acts like a known disturbance of the states, which the regulator can anticipate.
-        `aside` has the displacement of the states at the element boundaries, shape (n + 1,
-        n_states). The result has the shape (n, n_states).
+        `aside` has the displaced states of the path minus its states before the displacement, at
+        the boundaries of the n mesh elements, shape (n + 1, n_states). The result has one
+        disturbance of the states for each element, shape (n, n_states).
         """
         carried = np.einsum("kij,kj->ki", self.transitions, aside[:-1])
         return np.asarray(carried - aside[1:])
@@ -410,11 +413,13 @@ _REMEDY = "Ask for more solver.elements."
 
 
 def _limited(rates: Rates) -> Rates:
-    """Return a right-hand side of the equations of motion that may be evaluated a few times only.
+    """Return a right-hand side that raises an error when it has been evaluated too often.
 
-    `rates` is the right-hand side without this limit. A vehicle near its path needs far fewer
-    evaluations in a mesh element than the limit allows. A vehicle that tumbles far from its path
-    needs ever shorter integration steps, and its simulation would take minutes.
+    `rates` is the right-hand side of the equations of motion without this limit. The returned
+    function has the same arguments and the same values as `rates`, and serves to integrate one mesh
+    element. A vehicle near its path needs far fewer evaluations in a mesh element than the limit
+    allows. A vehicle that tumbles far from its path needs ever shorter integration steps; without
+    the limit, its simulation would take minutes.
 
     Raises
     ------

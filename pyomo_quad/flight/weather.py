@@ -70,11 +70,13 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     Returns
     -------
     Dynamics
-        Equations of the vehicle before random errors and turbulence are applied.
+        Equations of the vehicle, the same for all flights, with parameter values without random
+        errors. Their states include the states of the filters that model turbulence, unless the
+        scenario has neither turbulence nor uncertain quantities.
     Draws
-        For each flight, the parameter values with random errors, and the random input of the
-        turbulence (gusts). Both depend on the seed and on the index of the flight, but not on the
-        number of flights or on the duration.
+        For each flight, the parameter values with random errors, and the random input and initial
+        states of the turbulence filters (gusts). All of these depend on the seed and on the index
+        of the flight, but not on the number of flights or on the duration.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -151,8 +153,9 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     Returns
     -------
     tuple of dict
-        For each quantity, full name of a parameter -> change of its value. The parameters are those
-        of the problem that the function `problem_in_turbulence` returns.
+        One dictionary for each uncertain quantity: full name of a parameter -> change of the
+        parameter's value. The parameters are those of the vehicle's equations with turbulence,
+        which the function `problem_in_turbulence` compiles.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()

@@ -44,16 +44,21 @@ class Side(StrEnum):
 
 
 def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) -> list[KeepOut]:
-    """Return the keep-out zones that the straight lines between consecutive places intersect.
+    """Return the keep-out zones that a path of straight lines intersects or approaches too closely.
 
     Parameters
     ----------
     zones : sequence of KeepOut
         Zones to check.
     places : ndarray, shape (n, 3)
-        Corners of a path [m].
+        Corners of the path, which straight lines join in this order [m].
     clearance : float
-        Distance kept from each zone [m].
+        Distance that the path must keep from each zone [m].
+
+    Returns
+    -------
+    list of KeepOut
+        Those of `zones` that a line of the path enters after they are enlarged by the clearance.
     """
     return [
         zone
@@ -127,14 +132,18 @@ def sides_passed(
 ) -> NDArray[np.intp]:
     """Return the side on which each of n straight lines passes a keep-out zone.
 
-    The side is determined where a line crosses the vertical plane across the leg at the zone.
+    The lines are pieces of routes for a leg (line between two waypoints). The side is determined at
+    the point where a line crosses a vertical plane. This plane is perpendicular to the horizontal
+    direction of the leg. It goes through the middle of the part of the leg that is inside the zone
+    enlarged by its clearance or, if the leg is outside, through the point of the leg nearest to the
+    zone.
 
     Parameters
     ----------
     zone : KeepOut
         The zone.
     ends : ndarray, shape (2, 3)
-        Ends of the leg (line between two waypoints) near which the zone lies [m].
+        Ends of the leg near which the zone lies [m].
     clearance : float
         Distance kept from the zone [m].
     starts, stops : ndarray, shape (n, 3)
@@ -143,7 +152,8 @@ def sides_passed(
     Returns
     -------
     ndarray of int, shape (n,)
-        Index into the members of `Side`; -1 for a line that does not cross the plane.
+        For each line, the index of its side among the members of the enumeration `Side`; -1 for a
+        line that does not cross the plane. All are -1 if the plane goes through an end of the leg.
     """
     section = _section(zone, ends, clearance)
     if section is None:

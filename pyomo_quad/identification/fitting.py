@@ -349,9 +349,10 @@ class Fit:
         return np.array(found)
 
     def applied(self, values: FloatArray) -> Scenario:
-        """Return the scenario with changed values of the vehicle's fitted fields.
+        """Return a copy of the scenario in which the vehicle's fitted fields have given values.
 
-        `values` has shape (n,), in the order of `names`.
+        `values` are the values of the n fields that the fit determines, shape (n,), in the order of
+        the field names `names`.
         """
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
@@ -486,17 +487,21 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return a lower bound on the magnitude of each parameter, shape (n,), in its own unit.
+    """Return the least magnitude to assume for each parameter, shape (n,), in its own unit.
 
-    The n parameters are those of `fit`. To test whether the flights determine a parameter,
-    `undetermined` changes the parameter by a fraction of its magnitude. Without the lower bound, a
-    parameter with the value 0 would not be changed at all.
+    The n parameters are those of `fit`. To test whether the flights determine a parameter, the
+    function `undetermined` changes the parameter by a fraction of its absolute value or of this
+    least magnitude, whichever is larger. Without the least magnitude, a parameter with the value 0
+    would not be changed at all.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
 
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Pair each undetermined parameter with the parameter whose effect is most similar.
+    """Pair each undetermined parameter with the parameter that has the most similar effect.
+
+    The effect of a parameter is the change of the computed power with this parameter. A parameter
+    is undetermined if the measured flights do not determine its value.
 
     Parameters
     ----------

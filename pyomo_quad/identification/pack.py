@@ -102,10 +102,10 @@ class PackIdentification:
         Time in `rows` [s]. The voltages before this time determine the resistance of a flight's
         pack.
     error_mV, error_unread_mV, base_error_mV : float
-        Root mean square errors of the computed voltage in flight [mV per cell]. The first is the
-        error in unseen flights, with the resistance of each flight's pack; the second the error in
-        unseen flights, with the resistance of a median pack; the third the error of the battery
-        before the fit.
+        Root mean square errors of the computed voltage in flight [mV per cell]. `error_mV` is the
+        error in unseen flights, with the resistance of each flight's pack. `error_unread_mV` is the
+        error in unseen flights, with the resistance of a median pack. `base_error_mV` is the error
+        in all flights, with the battery before the fit and its resistance.
     """
 
     scenario: Scenario
@@ -119,7 +119,10 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Measured power and cell voltage of one flight, beginning a few seconds before the load.
+    """Measured power and cell voltage of one flight, in time steps of equal length.
+
+    The rows begin a few seconds before the load of the motors begins, or at the start of the log of
+    the flight, if this is later.
 
     Attributes
     ----------
@@ -129,10 +132,11 @@ class _Flown(NamedTuple):
         Power of the pack [W] and voltage per cell [V], in time steps that are equally long for all
         flights.
     rest : (float, float)
-        Mean voltage per cell [V] and mean power [W] before the load; the values of the first row if
-        the log of the flight begins under load.
+        Mean voltage per cell [V] and mean power [W] before the load begins; the values of the first
+        row if the log of the flight begins under load.
     aloft : int
-        Number of rows from the first row to the last row under load. These rows count as flight.
+        Number of rows of `power` and `voltage` that count as flight: all rows from the start of
+        these arrays to the last row under load, inclusive.
     """
 
     name: object

@@ -61,7 +61,8 @@ def write_identification(
     found : Identification
         Vehicle fitted to flights.
     base : str
-        Vehicle before the fit: a name of the library, or a vehicle file.
+        Vehicle before the fit: the name of a vehicle of the library, or the path of a vehicle file
+        (.toml).
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     pack : PackIdentification, optional
@@ -206,9 +207,10 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
     changed : mapping
         New value and its source, by the field's name.
     base : str
-        Vehicle of the library, or a vehicle file.
+        Base vehicle: the name of a vehicle of the library, or the path of a vehicle file (.toml).
     battery : str, optional
-        Battery file beside the vehicle file, in place of the base vehicle's battery.
+        Name of a battery file in the folder of the new vehicle file. This battery replaces the
+        battery of the base vehicle; by default the base vehicle's battery is kept.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}
@@ -226,10 +228,13 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 
 
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
-    """Yield the lines of a vehicle or battery file (TOML), one for each number with its source.
+    """Yield the lines of a vehicle or battery file (TOML), one for each entry.
 
-    `table` is the content of the file as nested mappings. Each line begins with the dotted key of
-    the number, such as ``fields.mass``; `path` is the part of this key that leads to `table`.
+    An entry is a number with its source, or a plain value such as the name of the base vehicle.
+    `table` has the entries as nested mappings, and is the whole file or a table in the file. Each
+    line begins with the dotted key of the entry, such as ``fields.mass``. `path` is the beginning
+    of this key that all entries of `table` have in common, with a dot at its end; it is empty for
+    the whole file.
     """
     for name, content in table.items():
         key = f"{path}{name}"

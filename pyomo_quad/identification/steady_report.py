@@ -36,7 +36,8 @@ def write_steady(folder: Path, found: SteadyFit, base: str, figures: Figures) ->
     found : SteadyFit
         Vehicle fitted to the points.
     base : str
-        Vehicle before the fit: a name of the library, or a vehicle file.
+        Vehicle before the fit: the name of a vehicle of the library, or the path of a vehicle file
+        (.toml).
     figures : Figures
         File formats of the figures, or `Figures.NONE` for a report without figures.
     """

@@ -45,8 +45,8 @@ class Scores:
     mean_absolute_error_percent : float
         Mean over the flights of the absolute relative error of the computed energy.
     bias_percent : float
-        Relative error of the computed energy of all flights together; positive if it is larger than
-        the measured energy.
+        Relative error of the computed energy of all flights together; positive if the computed
+        energy is larger than the measured energy.
     power_rmse_W : float
         Root mean square error of the computed power over all rows of the log.
     """

@@ -138,9 +138,10 @@ def declare_unexplained(m: ConcreteModel) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares the forces of block `aerodynamics`, to which no other component
-        refers yet. Each horizontal force is replaced by its sum with the mass times the unexplained
-        acceleration.
+        Model that already declares the aerodynamic forces in its block `aerodynamics`. Each
+        horizontal force is replaced by a new expression of the same name: the force plus the mass
+        times the unexplained acceleration. No other component of the model may refer to the
+        horizontal forces yet, because the old expressions lose their names.
     """
     b = m.aerodynamics
     b.unexplained = Param(
