@@ -57,7 +57,8 @@ def limit_words(name: str) -> str:
     of a limit of a user's own model is returned unchanged.
     """
     declared, _, index = name.partition("[")
-    index = index.removesuffix("]")
+    # Pyomo quotes an index with a dot.
+    index = index.removesuffix("]").strip("'")
     if declared.startswith(_COUNTED_FROM_0) and index.isdecimal():
         index = str(int(index) + 1)
     return WORDS[declared].format(index).rstrip() if declared in WORDS else name

@@ -11,6 +11,7 @@ from operator import attrgetter
 from typing import Any
 
 from pyomo.core import Block, Param, sqrt, tanh
+from pyomo.core.base.component_namer import index_repr
 from pyomo.core.base.units_container import units
 from pyomo.core.expr import NumericExpression
 
@@ -153,8 +154,8 @@ def parameter_items(
         value = row.value(scenario)
         if isinstance(value, Mapping):
             for index, number in value.items():
-                place = ",".join(map(str, index)) if isinstance(index, tuple) else str(index)
-                yield f"{block_name}.{row.name}[{place}]", float(number)
+                # Pyomo's own spelling: texts with a dot are quoted.
+                yield f"{block_name}.{row.name}{index_repr(index)}", float(number)
         elif value is not None:
             yield f"{block_name}.{row.name}", float(value)
 

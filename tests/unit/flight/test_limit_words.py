@@ -72,7 +72,7 @@ def test_limits_of_ones_own_keep_name_and_unit():
     [
         ("rotors.omega[2]", "speed of rotor 2"),
         ("mission.hold_speed[0]", "speed at hover waypoint 1"),
-        ("airspace.keep_out[mast-2.a]", "keep-out mast-2.a"),
+        ("airspace.keep_out['mast-2.a']", "keep-out mast-2.a"),
         ("airspace.keep_out[3]", "keep-out 3"),
     ],
 )

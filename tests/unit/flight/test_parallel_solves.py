@@ -60,3 +60,26 @@ def test_a_solution_from_a_copy_begins_the_next_solve():
     refined = mission.go_on(last)
     assert refined.status is Status.CONVERGED
     assert refined.objective == pytest.approx(last.objective, rel=1e-4)
+
+
+def test_the_plan_does_not_depend_on_the_number_of_cores(monkeypatch):
+    """On either side of the first mast, the second leaves both sides open."""
+    masts = ", ".join(
+        f"{{name='mast-{x}', shape='cylinder', centre=[{x}, {y}], radius=0.5, "
+        "bottom=-50.0, top=60.0}"
+        for x, y in ((1.7, 2.3), (3.3, 2.7))
+    )
+    told = load_scenario(
+        PAPER_CALM,
+        ["solver.accuracy='standard'", "airspace.clearance=0.3", f"airspace.keep_out=[{masts}]"],
+    )
+    plans = []
+    for number in (1, 3):
+        monkeypatch.setattr(processes, "cores", lambda most, n=number, **_: min(n, most))
+        plans.append(Planner().solve(told))
+    alone, together = plans
+    assert alone.is_verified
+    assert len(alone.routes) > 1
+    assert together.energy == alone.energy
+    assert together.routes == alone.routes
+    assert np.array_equal(together.trajectories.states, alone.trajectories.states)
