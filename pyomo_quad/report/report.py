@@ -87,7 +87,9 @@ def write_solve_report(
 ) -> None:
     """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
-    If the plan is not verified, title and text say so.
+    The text states the plan's status: whether simulation of the plan's controls confirmed the plan,
+    and to which accuracy. If simulation did not confirm the plan to any accuracy, the title also
+    states the status.
 
     Parameters
     ----------
@@ -163,7 +165,8 @@ class RunRecord:
     summary : mapping
         Content of `summary.json`.
     comparison : DataFrame
-        One row for each flight, with the columns of `ComparisonColumn`.
+        One row for each flight. The columns are the members of the enumeration `ComparisonColumn`:
+        duration, energy, saving and other results of the flight.
     """
 
     summary: Mapping[str, Any]
@@ -178,9 +181,10 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Read from a report folder an earlier run of the same scenario, if its plan was verified.
 
-    A comparison of scenarios uses this run instead of solving the scenario again. A run by other
-    versions of the package or its dependencies is ignored, because its numbers may differ. A run of
-    a user's own model is also ignored, because the model's code may have changed.
+    A plan is verified if simulation confirmed the plan to the requested accuracy. A comparison of
+    scenarios uses the earlier run instead of solving the scenario again. A run by other versions of
+    the package or its dependencies is ignored, because its numbers may differ. A run of a user's
+    own model is also ignored, because the model's code may have changed.
 
     Parameters
     ----------
@@ -192,7 +196,8 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     Returns
     -------
     RunRecord or None
-        None if the folder has no such run.
+        Results of the earlier run; None if the folder holds no run of the scenario, or only a run
+        that is ignored or whose plan was not verified.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -231,9 +236,11 @@ def write_compare_report(
     folder : Path
         Existing empty folder that receives the files.
     comparison : DataFrame
-        One row for each flight of each scenario, with the columns of `ComparisonColumn`.
+        One row for each flight of each scenario. The columns are the members of the enumeration
+        `ComparisonColumn`: scenario, duration, energy, saving and other results of the flight.
     is_good : bool
-        Whether all plans were verified; sets the colour of the box with the page's main result.
+        Whether all plans were verified, that is, simulation confirmed each plan to the requested
+        accuracy. This sets the colour of the box with the page's main result.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     """
@@ -254,7 +261,11 @@ def write_compare_report(
 
 
 def _title(plan: "Plan") -> str:
-    """Return the report's title, preceded by the plan's status if the plan is not verified."""
+    """Return the title of a plan's report, which is the title or name of the plan's scenario.
+
+    If simulation of the plan's controls did not confirm the plan to any accuracy, the title begins
+    with the plan's status, such as "Failed, infeasible".
+    """
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
 
@@ -315,13 +326,15 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
     Energy above hovering is the energy of the plan less the energy of hovering for the same time.
-    The result is None in all other cases, and also in the following three:
+    The result is None if the potential energy does not exceed the energy above hovering, or if the
+    goal is not above the start. The result is also None in three cases in which the two energies
+    are not compared:
 
-    - The electric power may depend on the airspeed, so that it can account for the energy of a
-      climb. The package's power model `momentum` depends on the airspeed; a user's own Pyomo model
-      may depend on it.
+    - The electric power may depend on the airspeed, so that the power model can account for the
+      energy of a climb. In the package's power model `momentum` the power depends on the airspeed;
+      in a user's own Pyomo model it may.
     - The mission releases parcels on the way, because the parcels do not climb to the goal.
-    - The plan was not verified by simulation.
+    - The controls of the plan were not simulated, for example because the solve failed.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -387,9 +400,9 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
     dict
         Path length [m] (key `path_m`), charge used [percent] (`battery_percent`), and the time
         [minutes] (`charge_minutes`) and distance [m] (`charge_m`) that a full charge would permit.
-        If the plan was not verified or the table has no column of the charge, `battery_percent` is
-        None and the dictionary has no keys for time and distance on a full charge. If the plan was
-        not verified, the path length is 0.
+        If the table has no column of the charge, `battery_percent` is None, and the keys
+        `charge_minutes` and `charge_m` are absent. The same holds if the plan's controls were not
+        simulated, for example because the solve failed; then the path length is also 0.
     """
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
@@ -410,7 +423,9 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
 def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a comparison of flights.
 
-    `comparison` has one row for each flight, with the columns of `ComparisonColumn`.
+    `comparison` is a table with one row for each flight. Its columns are the members of the
+    enumeration `ComparisonColumn`: duration, energy, saving and other results of the flight. The
+    returned dictionary has the values of the variables, by name.
     """
     return {
         "column": ComparisonColumn,
@@ -427,8 +442,10 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a run, except its plan.
 
-    `result` holds the results of the run. `replanned` is the table of the flights whose plan was
-    solved again during the flight.
+    `result` holds the results of the run. `replanned` is a table with one row for each flight
+    during which the controller solved the optimal control problem again; a row has the flight's
+    results and the times that the solves took. The returned dictionary has the values of the
+    variables, by name.
     """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")

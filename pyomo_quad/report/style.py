@@ -499,9 +499,10 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the plan and the baseline flight with which the plan's energy is compared.
 
-    The plan is the first of the given flights. The baseline, `FAIR_BASELINE`, follows a smooth
-    reference trajectory that is made without the plan. If no such flight was simulated, the plan is
-    returned alone.
+    The plan is the first of the given flights. The baseline flight is the flight whose name is the
+    constant `FAIR_BASELINE`. In the baseline flight a controller follows a smooth reference
+    trajectory that is made without the plan. If the given flights do not include the baseline
+    flight, the plan is returned alone.
 
     Parameters
     ----------

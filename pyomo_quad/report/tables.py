@@ -161,7 +161,9 @@ def plan_summary(
     plan : Plan
         The plan, which may be the best iterate of a failed solve.
     wall_s : mapping
-        Wall times [s] of phases that `Plan.timings` does not contain, such as import and report.
+        Wall times [s] of further phases of the program by name, such as import and report. The
+        summary also has the wall times of building, solving and verifying the plan, which the plan
+        itself holds in its attribute `timings`.
     warnings : sequence of str, optional
         Cautions to record.
     """
@@ -213,7 +215,9 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     result : RunResult
         A plan with the baseline flights it is compared with.
     wall_s : mapping
-        Wall times [s] of phases that `result.timings` does not contain, such as the report.
+        Wall times [s] of further phases of the program by name, such as the report. The summary
+        also has the wall times of planning, of the flights and of the lower bound, which `result`
+        holds in its attribute `timings`.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none

@@ -48,11 +48,15 @@ class Figures:
         or by 1, whichever is larger.
     turning : float
         Largest rate of turn of the heading [rad/s] that is tolerated in a mission that keeps the
-        heading constant. The levels `quick` and `standard` tolerate a few degrees and half a degree
-        per second, because a brief turn at such a rate changes neither the path nor the energy.
+        heading constant. The level `quick` tolerates about three degrees per second, and the level
+        `standard` about half a degree per second, because a brief turn at such a rate changes
+        neither the path nor the energy.
     intrusion : float
-        Intrusion into the clearance of a zone, and excess over floor, ceiling or fence [m]. A
-        relative tolerance alone would allow half a metre at a ceiling of 50 m.
+        Largest distance [m] by which the flight may enter the clearance of a keep-out zone, fall
+        below the floor, rise above the ceiling or leave the fence. For these limits the smaller of
+        the tolerances `breach` and `intrusion` applies, because a `breach` of 1 % alone would allow
+        half a metre at a ceiling of 50 m. At the level `proof`, `intrusion` is infinite, so that
+        only `breach` applies.
     integration : float
         Relative and absolute tolerance of the simulation. This tolerance is far below the other
         tolerances, because errors of a flight without feedback grow about a millionfold in half a

@@ -52,7 +52,8 @@ class Ball(NamedTuple):
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
         interval along the normal of a polygon's edge.
     centre : tuple of float
-        Centre in these coordinates [m].
+        Coordinates of the centre [m]: one for each member of `axes`; for an interval along a
+        normal, the single coordinate along this normal.
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None

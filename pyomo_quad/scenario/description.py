@@ -34,8 +34,9 @@ class FieldDescription:
     unit : str
         SI unit; empty if the field has none.
     origin : str
-        Source of the value: ``default``, ``library NAME``, ``scenario``, ``--set`` or
-        ``file NAME``.
+        Source of the value: ``default`` (the default of the field), ``library NAME`` (an entry of
+        the package's library), ``scenario`` (the scenario file), ``--set`` (an override on the
+        command line) or ``file NAME`` (a data file that the scenario names).
     meaning : str
         Meaning of the field, in one line.
     """
@@ -147,8 +148,9 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 class WritableField:
     """Description of a field that users may write in a scenario or study file.
 
-    The attributes are texts: dotted path, unit, default, allowed values and meaning of the field.
-    They make up one row of the documentation's table of fields.
+    A study file describes a parameter sweep. The attributes are texts: dotted path, unit, default,
+    allowed values and meaning of the field. These five texts make up one row of the documentation's
+    table of fields.
     """
 
     path: str
@@ -167,11 +169,13 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
     Parameters
     ----------
     model : type of BaseModel
-        Pydantic model of the whole file, either a scenario or a study.
+        Pydantic model of the whole file, either a scenario or a study (a file that describes a
+        parameter sweep).
     title : str
         Title of the schema.
     required : tuple of str
-        Keys that every file must have; all other keys have a default or come from the library.
+        Keys that every file must have; all other keys have a default or come from the package's
+        library of vehicles, batteries and winds.
     """
     schema = model.model_json_schema()
     definitions = schema.get("$defs", {})
@@ -201,6 +205,8 @@ def editor_schema(model: type[BaseModel], title: str, required: tuple[str, ...])
 
 def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
     """Describe the fields that a scenario or study file may have, in the order of the schema.
+
+    A study file describes a parameter sweep.
 
     Parameters
     ----------

@@ -92,7 +92,9 @@ class Gridded(NamedTuple):
     components : ndarray, shape (n_components, ...)
         Values, with one further array axis for each axis of the grid.
     on_earth : tuple of str
-        Which of the axes x and y are a longitude and a latitude [deg].
+        Names of the horizontal axes whose grid points are in degrees: "x" if the grid points of
+        axis x are longitudes, and "y" if the grid points of axis y are latitudes. Empty if both
+        axes are in metres.
     is_above_sea : bool
         Whether the heights of axis z are altitudes above the sea.
     """

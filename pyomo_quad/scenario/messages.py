@@ -179,10 +179,10 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the model of the innermost table on a path, and the unit of the field at its end.
+    """Find the innermost table on a path of a scenario, and the unit of the last field on the path.
 
-    For the path `mission.goal.position[2]` these are the model of the table `goal` and the unit of
-    its field `position`. Error messages name the unit, and other fields of the table.
+    For the path `mission.goal.position[2]` the innermost table is `goal`, and the last field is
+    `position`. An error message about a path names the unit, and other fields of the table.
 
     Parameters
     ----------
@@ -194,7 +194,7 @@ def declared_place(
     Returns
     -------
     tuple of (type, str)
-        Model of the innermost table, and unit string of the last field.
+        Model class of the innermost table, and unit string of the last field.
     """
     table, unit = model, ""
     for step in place:
