@@ -124,12 +124,14 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield remarks on a vehicle's numbers that are possible but unusually good.
+    """Yield remarks on numbers of a vehicle that are doubtful but not impossible.
 
-    A first kind of remark concerns motors for which the product of torque constant and voltage
-    constant differs slightly from 1, which may be due to rounding of the two constants. A second
-    kind concerns rotors with an unusually high figure of merit (ideal power divided by shaft power
-    in hover).
+    There are at most two remarks, each a text for the user. The first remark is on the motors: the
+    product of torque constant and voltage constant, both in SI units, must be 1 because of the
+    conservation of energy. The remark is made if the product differs noticeably from 1, but by so
+    little that rounding of the two constants explains the difference. The second remark is on the
+    rotors: it is made if their figure of merit (ideal power divided by shaft power in hover) is
+    unusually high.
 
     Parameters
     ----------
@@ -207,7 +209,8 @@ class _Hover:
         Beginning of an error message or remark about the power of hover. The text states the drag
         torque coefficient of the rotors and the shaft power.
     shaft_W, ideal_W : float
-        Power at the shafts of all rotors, and power of ideal rotors of the same disc area [W].
+        Power at the shafts of all rotors, and ideal power: the least power that rotors of the same
+        disc area need in hover by momentum theory [W].
     radius : str
         Text with the rotor radius [m]. The text also says whether the vehicle's field
         `rotor_radius` gives the radius, or the radius is the largest at which the rotors do not

@@ -111,10 +111,21 @@ def read_toml(file: Path) -> dict[str, Any]:
 def parse_toml(text: str) -> dict[str, Any]:
     """Parse the text of a TOML document.
 
+    Parameters
+    ----------
+    text : str
+        The text, which may come from an untrusted source.
+
+    Returns
+    -------
+    dict
+        Nested tables of the document.
+
     Raises
     ------
     ValueError
-        If the text is not TOML, or is nested deeper than the parser can recurse.
+        If the text is not TOML, if its tables or lists are nested deeper than the parser can
+        recurse, or if one of its keys has more than 32 parts.
     """
     try:
         if _LONG_KEY.search(_TEXT.sub("''", text)) is None:
@@ -470,19 +481,24 @@ class Resolution:
 
 
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
-    """Complete the tables of a scenario from defaults, library, data files and overrides.
+    """Complete the tables of a scenario from initial values, library, data files and overrides.
+
+    A few fields have an initial value, declared in addition to the field's default. A scenario gets
+    the initial value of such a field if its file leaves the field out. A stored, complete scenario
+    gets no initial values. The defaults of all other missing fields are added later, when the
+    tables are validated.
 
     Parameters
     ----------
     origin : ScenarioSource
         The scenario as written.
     model : type of BaseModel
-        Pydantic class of the scenario, which declares the initial values of the fields.
+        Pydantic class of the scenario, which declares the fields with their initial values.
 
     Returns
     -------
     Resolution
-        Complete tables, not validated yet, and the origin of each value.
+        The tables, not validated yet, the origin of each value, and the errors found.
 
     Raises
     ------
@@ -620,6 +636,11 @@ class _Filled:
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
         """Add the values of the library entry that a table of the scenario names by its key `use`.
 
+        The key `use` may also name a user's own file with the structure of a library entry. Without
+        this key, the default entry of the table is added; for the battery, this is the battery pack
+        that the entry of the vehicle names. A stored, complete scenario already contains the values
+        of its entries. Nothing is then added, unless an override changes `use`.
+
         Parameters
         ----------
         place : tuple of str
@@ -737,8 +758,10 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        If the scenario gives no floor (least height above the ground), the floor is set to the
-        clearance (least distance from zones).
+        If the scenario gives no floor (`airspace.floor`, the least allowed height above the
+        ground), the floor is set to the clearance (`airspace.clearance`, the least allowed distance
+        from keep-out zones; 0 if not given). If the scenario is a stored, complete scenario with
+        the heights, the file is not read again.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)

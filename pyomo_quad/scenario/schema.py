@@ -297,6 +297,9 @@ class Scenario(Part):
     def nominal_times(self) -> tuple[float, ...]:
         """Times at which waypoints are reached and left, and end time [s], prescribed or estimated.
 
+        The tuple holds, for each waypoint in order, the time at which the waypoint is reached and
+        the time at which it is left; the last number is the end time of the flight.
+
         A leg is the flight from one place (start, waypoint or goal) to the next. The estimated
         time of a leg is twice the least time of a flight that accelerates over the first half of
         the leg and decelerates over the second half, with the vehicle's largest acceleration.

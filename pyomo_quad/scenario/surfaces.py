@@ -8,7 +8,8 @@ grid, spline and ground are polynomials, and the least Bernstein coefficient of 
 is a lower bound of this difference. If the least coefficient is negative, all B-spline
 coefficients that influence the cell are raised by its magnitude. Bernstein coefficients are
 averages of B-spline coefficients, so that no Bernstein coefficient of the cell remains negative.
-A surface below the ground is constructed in the same way from the negative heights.
+For a surface below the ground, the heights are multiplied by -1, a surface above the resulting
+ground is constructed in the same way, and its heights are multiplied by -1 again.
 """
 
 from dataclasses import dataclass
@@ -110,6 +111,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     def above(spline: FloatArray) -> FloatArray:
         """Return the Bernstein coefficients of spline minus ground in each cell of the grid.
 
+        Here the ground is the terrain or, for a surface below the terrain, its mirror image at the
+        height 0.
+
         Parameters
         ----------
         spline : ndarray, shape (len(x), len(y))
@@ -118,7 +122,8 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
         Returns
         -------
         ndarray, shape (len(x) - 1, len(y) - 1, 4, 4)
-            Bernstein coefficients [m]; the first two array axes are the cells.
+            Bernstein coefficients [m]. The first two array axes are the cells along x and y, the
+            last two the coefficients of one cell along x and y.
         """
         found = (along_y.cubic @ (along_x.cubic @ spline).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)

@@ -1,7 +1,8 @@
 """Conversion of values in other units, given by keys such as `roll_max_deg`, to SI units.
 
-The conversion comes first when a scenario is read; all later steps handle only the declared fields,
-in SI units.
+A field is declared in SI units by the Pydantic class of its table; a key such as `roll_max_deg`
+states the field `roll_max` in degrees. The conversion is the first step when a scenario is read, so
+that all later steps handle only declared fields.
 """
 
 from collections.abc import Iterator, Mapping

@@ -126,7 +126,11 @@ class MotorConstants(NamedTuple):
 
     @property
     def product(self) -> float:
-        """Torque constant times voltage constant: 1 for a motor that creates no energy."""
+        """Torque constant times voltage constant (speed per voltage), both in SI units.
+
+        The product is 1 for every real motor, because the conversion of electrical into mechanical
+        power conserves energy. A larger product would create energy.
+        """
         return self.torque_constant * self.voltage_constant
 
 
@@ -370,7 +374,10 @@ class Vehicle(Part):
 
     @property
     def motor(self) -> MotorConstants | None:
-        """Electrical constants of the motors; None unless all three are known."""
+        """Electrical constants of the motors; None unless all of these constants are known.
+
+        The constants are the torque constant, the speed per voltage and the resistance.
+        """
         told = (self.torque_constant, self.voltage_constant, self.motor_resistance)
         if None in told:
             return None

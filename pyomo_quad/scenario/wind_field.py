@@ -65,7 +65,8 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Raises
     ------
     ScenarioError
-        If the file cannot be read, is not a rectilinear grid, or has no wind; one line.
+        If the file cannot be read, has no rectilinear grid, or has no wind. The message of the
+        error is a single line.
     """
     axes, components, *_ = in_metres(read_gridded(file, place, _WIND), origin, place)
     check_axes(axes, place)

@@ -156,13 +156,19 @@ def check_cover(
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
     """Read the columns and rows of a CSV file of measured wind.
 
-    Error messages begin with the text `place`.
+    Parameters
+    ----------
+    file : Path
+        The CSV file.
+    place : str
+        Beginning of error messages: the scenario field that names the wind file, and the name of
+        the file.
 
     Returns
     -------
     tuple of (tuple of str, list of tuple of float)
-        Names of the columns that precede the wind velocities (time, height or both), and the
-        numbers of each row.
+        Names of the columns that precede the wind velocities (time, height or both); and the
+        numbers of each row, in the order of the file's columns.
     """
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:

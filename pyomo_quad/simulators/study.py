@@ -209,13 +209,16 @@ class OutsideStudy:
 class Arrivals(NamedTuple):
     """Counts of a controller's flights in RotorPy, by their outcome.
 
+    A flight is confirmed if a simulation by a second integrator gives the same result. A flight has
+    arrived if it ends near the goal and nearly at rest.
+
     Attributes
     ----------
     arrived : int
-        Number of the confirmed flights that reached the goal.
+        Number of flights that are confirmed and have arrived.
     confirmed, unconfirmed : int
-        Number of flights for which a simulation by a second integrator gives the same result
-        ("confirmed"), and number of flights for which it does not.
+        Number of flights that are confirmed, whether they have arrived or not, and number of
+        flights that are not confirmed.
     """
 
     arrived: int

@@ -1,6 +1,7 @@
-"""Studies of one scenario, from a complete run to checks of the mission before the solve.
+"""Studies of one scenario: checks of the mission, the complete run, and analyses of its plan.
 
-Some of the studies: comparison of the plan with flights of an autopilot, tuning of the autopilot,
-lower bound on the energy, least energy against flight duration, flights in random winds, and
-repeated flights on one battery charge.
+The checks come before the solve. The complete run plans the mission, simulates the plan and
+baseline flights, and compares their energies. Some of the analyses: tuning of an autopilot for
+comparison with the plan, a lower bound on the energy, the least energy as a function of the flight
+duration, flights in random winds, and repeated flights on one battery charge.
 """

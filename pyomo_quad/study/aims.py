@@ -1,9 +1,11 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
-A battery loses more energy than it delivers, because the current heats its resistance; variations
-of the power increase this loss. The scenario's field `mission.aim` selects the objective of a plan.
-This module solves the mission for the other of the two objectives, on the same mesh, and tabulates
-both plans.
+The energy is what the vehicle takes from the terminals of its battery. The charge also covers the
+loss in the battery, where the current heats the internal resistance. Variations of the power
+increase this loss, so that the two objectives may have different optima.
+
+The scenario's field `mission.aim` selects the objective of a plan. This module solves the mission
+for the other of the two objectives, on the same mesh, and tabulates both plans.
 """
 
 from typing import TYPE_CHECKING

@@ -1,11 +1,12 @@
 """Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
 A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
-limit on acceleration and one on jerk. The module `flight.routes` computes this motion.  The saving
-of a plan over an autopilot says little unless the three settings (speed, acceleration and jerk) are
-good.  Nelder and Mead's method therefore searches for the settings of least energy, over simulated
-flights under the controller; a flight that breaks a limit of the vehicle or misses the goal is
-penalised.  One triple of settings serves the whole mission.
+limit on acceleration and one on jerk. The module `flight.routes` computes this motion. The energy
+that a plan saves in comparison with an autopilot says little unless the three settings of the
+autopilot (speed, acceleration and jerk) are good. Nelder and Mead's method therefore searches for
+the settings with which the autopilot needs the least energy. Each flight of the search is simulated
+under the controller; a flight that breaks a limit of the vehicle or misses the goal is penalised.
+One triple of settings serves the whole mission.
 
 Where all legs are long compared with the distance over which the vehicle reaches its speed, the
 energy is nearly the energy of steady flight. The search then begins at the speed of least energy
@@ -89,8 +90,11 @@ class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
     The settings are limits on speed, acceleration and jerk. The flight is simulated at reduced
-    accuracy. Its results are the largest speed and acceleration that it reaches, its duration,
-    energy and broken limits, whether it arrives, and its cost in the search.
+    accuracy. The results are the largest speed and acceleration of the flight's reference
+    trajectory, the duration and the energy of the flight, the limits that the flight breaks,
+    whether the flight arrives (ends near the goal and nearly at rest), and its cost. The cost is
+    what the search minimises: the energy, increased by a penalty if the flight breaks a limit or
+    does not arrive.
     """
 
     settings: CruiseSettings

@@ -94,7 +94,7 @@ class Campaign(Summarised):
     flights : tuple of CampaignFlight
         All flights, in order.
     endings : tuple of str
-        Reason for which each charge ended, in words.
+        For each battery charge, the reason in words for which no further flight was made on it.
     """
 
     missions: tuple[Scenario, ...]
@@ -115,7 +115,12 @@ class Campaign(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Missions, flights on each charge, reasons for their ends, total time and energy."""
+        """Summary of the campaign, as a mapping from the name of a result to its value as text.
+
+        The results are the names of the missions, the number of flights on each battery charge, for
+        each charge the reason for which no further flight was made on it, and the total duration
+        and energy of all flights.
+        """
         plans = [flight.plan for flight in self.flights]
         return {
             "missions": self.name,
@@ -153,7 +158,8 @@ def fly_campaign(
     Raises
     ------
     ScenarioError
-        If the missions have different batteries, or a model has no battery.
+        If the missions have different batteries, or if a mission's equations come from a user's own
+        Python function (scenario field `model`), whose battery is not known to the package.
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))
@@ -240,12 +246,13 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 
 
 def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
-    """Return the limits that a repetition of the previous plan would break on the remaining charge.
+    """Return the limits that a mission's previous plan would break on the remaining charge.
 
+    The limits explain why a campaign has no further flight. To find them, the controls of the
+    previous plan of the same mission, `last`, are simulated from the present state of the battery.
     The limits are in words, separated by commas. The text is empty if no limit is broken, or if
-    there is no previous plan (`last` is None). `present` is the mission with the present state of
-    the battery. `planner` holds the compiled equations, with which the controls of the previous
-    plan are simulated from the present state.
+    `last` is None, because the mission has not been planned before. `present` is the mission with
+    the present state of the battery. `planner` holds the compiled equations for the simulation.
     """
     return "" if last is None else ", ".join(_broken(present, last, planner))
 

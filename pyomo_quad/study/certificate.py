@@ -44,8 +44,8 @@ class ThrustMoments:
 
     Every flight from rest to rest over a displacement in a given time has the same values of two
     weighted integrals of the thrust vector: the first follows from the momentum balance
-    (docs/theory/bound.md, eq. (2)), the second from the displacement (eq. (4)). They give a lower
-    bound on the energy and on the largest thrust of every flight.
+    (docs/theory/bound.md, eq. (2)), the second from the displacement (eq. (4)). The two values give
+    a lower bound on the energy of every flight, and one on its largest thrust.
 
     Parameters
     ----------
@@ -60,12 +60,13 @@ class ThrustMoments:
     Attributes
     ----------
     widths : ndarray, shape (n,)
-        Quadrature weights (widths of the intervals) of the n nodes of a Gauss quadrature over the
-        flight, s.
+        Weights of the n nodes of a Gauss quadrature over the flight, s. The sum of a function's
+        values at the nodes, each times its number in `widths`, is the integral of the function.
     weights : ndarray, shape (2, n, 3)
-        Dimensionless weights of the first and of the second integral at the nodes, along each axis.
-        The first weight is 1; the second is k(t) of docs/theory/bound.md, eq. (3), less its mean
-        over the flight and divided by the duration.
+        Dimensionless factors by which the thrust at the nodes is multiplied in the first and in the
+        second weighted integral, along each axis.
+        The first factor is 1. The second is (k(t) - mean of k over the flight) / duration, with
+        k(t) of docs/theory/bound.md, eq. (3).
     demanded : ndarray, shape (2, 3)
         Values of the first and of the second integral (weight times thrust) that the mission
         requires, along each axis, N s.
