@@ -363,8 +363,10 @@ def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantit
     with all other fields as in the central case. The values of the field at which the quantity is
     least and greatest are printed beside this bar. In the central case, each field that varies has
     the base scenario's value or, if the sweep does not contain this value, the middle of the
-    field's values. Fields with random values have no value in the central case: a bar of another
-    field shows the mean of the quantity over the random draws.
+    field's values. Fields with random values have no value in the central case. Therefore, if a
+    sweep has random fields, the bar of a field that is not random is the range of the quantity's
+    mean over the random draws. The bar of a random field is the range of a linear function that is
+    fitted to the quantity, between the 5 % and 95 % quantiles of the field's draws.
 
     Parameters
     ----------

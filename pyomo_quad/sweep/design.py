@@ -265,7 +265,7 @@ class Dimension:
         Parameters
         ----------
         path : str
-            Dotted path of the field, one of `paths`.
+            Dotted path of the field, one of the paths in the attribute `paths`.
         """
         column = self.paths.index(path)
         return [step[column] for step in self.steps]
@@ -358,7 +358,15 @@ class SweepDesign:
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
         """Yield the changes of task, baselines and base scenario since an older design.
 
-        After such a change, results of the older design are not valid for this design.
+        The task says whether each case's flight is planned, or the controller flies the base
+        scenario's plan in each case. The baselines are reference trajectories that the controller
+        flies in each case, for comparison. If one of the three differs, results of the older design
+        are not valid for this design.
+
+        Parameters
+        ----------
+        older : SweepDesign
+            The older design.
 
         Yields
         ------
@@ -375,6 +383,11 @@ class SweepDesign:
         """Yield the changes of axes (fields that vary, with their values) since an older design.
 
         Results of the older design remain valid for the cases that both designs have.
+
+        Parameters
+        ----------
+        older : SweepDesign
+            The older design.
 
         Yields
         ------

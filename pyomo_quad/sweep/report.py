@@ -94,10 +94,15 @@ def write_sweep_report(
 def _outcome(results: SweepResults) -> dict[str, Any]:
     """Compute the variables of the report's template that need at least one finished case.
 
-    `results` is the result table of the sweep. The result maps the names of variables to their
-    values. These are the cases in which the controlled flight missed the goal; quantiles of each
-    output column that the report draws; the mission durations at which the first of these columns
-    is least; and the range of each of these columns as each scenario field varies.
+    `results` is the result table of the sweep. The function returns a mapping from the names of the
+    variables to their values. The variables describe the following:
+
+    - the cases in which the controlled flight missed the goal, and the distance from the goal [m]
+      above which a flight has missed the goal;
+    - quantiles of each output column that the report draws;
+    - the name of the first of these output columns, and the mission durations at which the values
+      in this column are least;
+    - the range of each output column that the report draws, as each scenario field varies.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -144,10 +149,12 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
     """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
 
-    The kinds are the flights of the controller along the plan or along a baseline's reference
-    trajectory. `results` is the result table of the sweep. Each item holds the kind's name, its
-    number of flights, the row numbers of the cases without arrival, and the largest distance from
-    the goal in these cases [m].
+    The kinds are the controller's flights along the plan of the base scenario, if the sweep flies
+    this plan in each case, and the controller's flights along each reference trajectory that the
+    study names for comparison (a baseline). A flight missed the goal if its distance from the goal
+    at the end exceeds the constant `ARRIVAL_DISTANCE_M`. `results` is the result table of the
+    sweep. Each item holds the kind's name, the number of its flights, the row numbers of the cases
+    that missed the goal, and the largest distance from the goal at the end [m] in these cases.
     """
     rows = results.finished
     for column in map(str, rows.columns):
@@ -172,8 +179,11 @@ def _sensitivities(
     `results` is the result table of the sweep, and `quantities` are the output columns that the
     report draws. There is one item for each quantity. The item holds the quantity's label and its
     factor to the printed unit, the name of the sweep's central case, the range of the quantity over
-    all cases, and the ranges of the quantity as each scenario field varies. A quantity is left out
-    if such a range is known for fewer than two fields, which leaves nothing to compare.
+    all cases, and the ranges of the quantity as each scenario field varies. While one field varies,
+    the other fields are as in the central case. In the central case, each field that varies has the
+    base scenario's value or, if the sweep does not contain this value, the middle of the field's
+    values. A quantity is left out if its range is known along fewer than two fields, because there
+    is then nothing to compare.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)

@@ -227,7 +227,9 @@ class Sweep:
         `outcome` is the row of the case that ended. The children of a case are the neighbouring
         cases whose solves start from the solution of this case. The children of the case that ended
         can be solved now. A child that has already ended is replaced by the children of the child.
-        Warm starts that no case needs any more are deleted from the store.
+        A warm start is a stored solution from which children start. The warm start of the parent of
+        the case that ended is deleted from the store if none of the parent's children still needs
+        the warm start.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -285,7 +287,7 @@ class Sweep:
 def case_task(
     design: SweepDesign, base: Scenario, case: Case, solver: str, warm_start: bytes | None
 ) -> CaseTask | CaseOutcome:
-    """Make the worker's input for one case of a sweep.
+    """Make the input with which a worker solves one case of a sweep.
 
     Parameters
     ----------
@@ -298,12 +300,14 @@ def case_task(
     solver : str
         Function that solves a case, as ``module:function``.
     warm_start : bytes or None
-        Packed solution of the parent case, the initial guess.
+        Initial guess of the case: the solution of its parent, a neighbouring case, packed into
+        bytes. None if the case has no parent or no solution is stored for the parent.
 
     Returns
     -------
     CaseTask or CaseOutcome
-        The input; the row of a failed case if the changed scenario is invalid.
+        A `CaseTask`, the input of the worker, if the base scenario with the case's field values is
+        a valid scenario. Otherwise a `CaseOutcome`, the row of a failed case, for the result table.
     """
     task = CaseTask(
         position=case.position,

@@ -106,9 +106,12 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Part of a caption: the share of variance that linear effects of random fields explain.
+        """Part of a caption: the share of the quantity's variance that the random fields explain.
 
-        Begins with a semicolon, to continue a sentence; empty if no field is random.
+        The share is the attribute `linear_share`, printed in percent: the fraction of the variance
+        that a linear fit in the random fields explains. The text begins with a semicolon, to
+        continue a sentence. The text is empty if `linear_share` is NaN, because no field is random
+        or there are too few cases for a fit.
         """
         if isnan(self.linear_share):
             return ""

@@ -205,8 +205,9 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
     Raises
     ------
     StoreError
-        If another program made the database, its format has another number, or its tables differ
-        from those that this version creates.
+        If another program made the database, the store's format number is not the number of the
+        format that this version of pyomo_quad uses, or the database's tables differ from the tables
+        that this version creates.
     """
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
@@ -416,7 +417,8 @@ class ResultStore:
         design : SweepDesign
             Specification of the sweep, written into a new store.
         is_fresh : bool, default False
-            Whether to delete an existing store first.
+            Whether to delete an existing store first. If False, an existing store is opened with
+            the rows and the design that it contains.
 
         Raises
         ------
@@ -472,7 +474,7 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status of each stored case of the sweep, by the case's key.
+        """Return the status of each stored case, by the case's key (a hash of its field values).
 
         A case is finished (solved and verified), failed (the solve or its verification failed) or
         lost (the worker process died while it solved the case).
@@ -485,7 +487,8 @@ class ResultStore:
         Returns
         -------
         dict
-            Row of each case that has ended, by the case's key.
+            Row of each case that has ended, by the case's key, which is a hash of the values of
+            the scenario fields that vary.
 
         Raises
         ------
@@ -521,7 +524,9 @@ class ResultStore:
     ) -> None:
         """Commit the row of a case that ended; an earlier row of the case is replaced.
 
-        Row, warm starts and deletions are one transaction.
+        A warm start is the solution of a case, stored because neighbouring cases start from it. The
+        new row, the new warm start and all deletions are written in one database transaction. The
+        key of a case is a hash of the values of the scenario fields that vary.
 
         Parameters
         ----------
@@ -530,7 +535,8 @@ class ResultStore:
         overrides : mapping
             Value of each field that varies, by its dotted path.
         is_parent : bool
-            Whether other cases start from this case's solution, which is then stored too.
+            Whether other cases start from the solution of this case. If so, the solution is stored
+            as a warm start.
         spent : str, optional
             Key of a case whose warm start is deleted, because no other case needs this warm start
             any more; empty if no warm start is deleted.
@@ -575,13 +581,14 @@ class ResultStore:
         Parameters
         ----------
         key : str
-            Key of the case.
+            Key of the case: a hash of the values of the scenario fields that vary.
 
         Returns
         -------
         bytes or None
             The solution of the case, packed into bytes. If the case could not be solved, the
-            solution from which the case itself was started. None if there is neither.
+            solution from which the case itself was started. None if the store has no warm start of
+            the case.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()

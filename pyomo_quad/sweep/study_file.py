@@ -62,7 +62,10 @@ class Sampling(Part):
     )
 
     def draw(self, axis_count: int) -> np.ndarray:
-        """Draw random points in the open unit cube, one coordinate for each random field.
+        """Draw random points in the unit cube; each point has a coordinate for each random field.
+
+        The value of a random field in a sample is the quantile of the field's distribution at the
+        probability that the coordinate gives.
 
         Parameters
         ----------
@@ -72,9 +75,10 @@ class Sampling(Part):
         Returns
         -------
         ndarray, shape (count, axis_count)
-            Coordinates of the points, strictly between 0 and 1; `count` is the number of samples.
-            With the method ``random``, a larger number only adds points after those of a smaller
-            number, so that a study can be extended. A Latin hypercube is drawn anew.
+            Coordinates of the points, strictly between 0 and 1; the attribute `count` is the
+            number of samples. With the method ``random``, an increase of `count` keeps the previous
+            points and appends further points, so that a study can be extended. With a Latin
+            hypercube, all points change if `count` changes.
         """
         generator = np.random.default_rng(self.seed)
         if self.method is SamplingMethod.RANDOM:

@@ -65,7 +65,8 @@ def _numbers(section: str, numbers: Mapping[str, Estimate]) -> Iterator[str]:
 def scenario_of(vehicle: EstimatedVehicle) -> Scenario:
     """Make a scenario in which an estimated vehicle flies 40 m in calm air.
 
-    The power model is `momentum`, whose parameters are among the estimated numbers.
+    The scenario's power model is `momentum`, which uses momentum theory. The parameters of this
+    model are among the estimated numbers of the vehicle.
 
     Parameters
     ----------

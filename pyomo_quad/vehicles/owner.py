@@ -152,7 +152,7 @@ class EstimatedVehicle:
 
     @property
     def is_measured(self) -> bool:
-        """Whether a measured hover power determines the vehicle's power."""
+        """Whether the owner has measured the hover power, by which the power model is scaled."""
         return self.known.hover_power is not None
 
 

@@ -46,7 +46,8 @@ def write_vehicles(
     Returns
     -------
     DataFrame
-        Table of the vehicles known from data sheets, from `holding.data_sheets`.
+        Published and estimated hover powers of the vehicles of which only data sheets exist, as the
+        function `data_sheets` returns them.
     """
     sheets = data_sheets()
     drawings = write_study(

@@ -43,8 +43,9 @@ class Cause:
     measurement : str
         The measurement that would determine the quantity.
     low, high : ndarray, shape (len(AIRSPEEDS),)
-        Powers [W] at the airspeeds `AIRSPEEDS` [m/s] with the quantity at the ends of its range;
-        NaN where the vehicle has no steady flight.
+        Powers [W] of level flight if the quantity is at the lower and at the upper end of its range
+        of uncertainty. There is one power for each airspeed in the constant `AIRSPEEDS` [m/s]; the
+        power is NaN where the vehicle has no steady flight.
     """
 
     name: str
@@ -60,8 +61,8 @@ class PowerBand:
     Attributes
     ----------
     power, low, high : ndarray, shape (len(AIRSPEEDS),)
-        Best estimate of the power [W] at the airspeeds `AIRSPEEDS` [m/s], and the lower and the
-        upper end of its range of uncertainty.
+        Best estimate of the power [W], and lower and upper end of the power's range of uncertainty,
+        for each airspeed in the constant `AIRSPEEDS` [m/s].
     causes : tuple of Cause
         Causes of the uncertainty.
     """
@@ -128,14 +129,17 @@ def _together(changes: Sequence[FloatArray]) -> FloatArray:
 
 
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:
-    """Return the uncertain quantities of a vehicle, each with the ends of its range.
+    """Return the uncertain quantities that affect a vehicle's power, with the ends of their ranges.
+
+    `vehicle` is the estimated vehicle.
 
     Returns
     -------
     list of (str, str, Numbers, Numbers)
-        For each quantity: its name, the measurement that would determine it, and two mappings from
-        the names of vehicle fields to changed values. The first mapping is for the lower end of the
-        quantity's range, the second for the upper end.
+        For each quantity: its name, the measurement that would determine it, and two mappings. The
+        first mapping gives the values that fields of the scenario's table `vehicle` have if the
+        quantity is at the lower end of its range of uncertainty, the second mapping those at the
+        upper end. Fields that do not depend on the quantity are absent from both mappings.
     """
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}
