@@ -1,5 +1,8 @@
 """Registry through which plans and runs call the functions that draw and report them.
 
+A plan is an optimised flight. A run is a plan together with the baseline flights that it is
+compared with.
+
 Methods such as `Plan.plot` need the package `pyomo_quad.report`, which imports matplotlib. Modules
 that define plans and runs must not import `pyomo_quad.report`, because a lower package must not
 import a higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports

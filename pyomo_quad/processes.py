@@ -108,9 +108,10 @@ def side_by_side(
 
 
 def _have_ended(answers: Sequence[Future[Any]]) -> bool:
-    """Wait for the results of copies, but not longer than a moment; return whether all are there.
+    """Return whether all forked copies of this process have ended their tasks.
 
-    `answers` are the future results.
+    `answers` are the futures of the copies' results. The function waits for the results, but not
+    longer than a tenth of a second.
     """
     return not wait(answers, _MOMENT_S).not_done
 

@@ -176,8 +176,14 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
     Parameters
     ----------
     trial : MeshTrial
-        Interpretation of the efficiency f_r of motor and rotor, upper bound on the rotor
-        acceleration, and mesh.
+        Settings of the solve: interpretation of the efficiency f_r of motor and rotor, upper bound
+        on the rotor acceleration, and mesh.
+
+    Returns
+    -------
+    TrialOutcome
+        Whether the solver converged, the energy by the quadrature on the mesh, and the energy and
+        the distance from the goal when the controls are simulated.
     """
     scenario = paper_scenario(
         Experiment.CALM,

@@ -130,10 +130,15 @@ def _equations() -> Iterator[dict[str, Any]]:
 def examination(study: PaperStudy) -> dict[str, Any]:
     """Compare the study's results with the claims of Yacef et al., for the report.
 
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+
     Returns
     -------
     dict
-        Variables of the report's template.
+        Numbers and results by name. The template of the report's text inserts them by these names.
     """
     bound, least = map(float, study.floors[Reading.REGULARISED][-1])
     regularised, literal = study.floors[Reading.REGULARISED], study.floors[Reading.LITERAL]
@@ -170,7 +175,8 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
     The result is an upper bound on the absolute rotor acceleration [rad/s²]. The least energy of
     any flight within such a bound falls as the bound rises, if f_r, the efficiency of motor and
     rotor, is the bare polynomial. At the returned bound this least energy equals the energy that
-    Yacef et al. print for their optimal flight.
+    Yacef et al. print for their optimal flight. The returned bound is interpolated between the
+    bounds for which `study`, the results of the study, holds the least energy.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -180,11 +186,15 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
 
-    The result maps names of numbers to their values, for the report's template. The numbers are
-    the printed energy and saving, and energies of `experiment` [J]: of hovering, of two simulated
-    flights under the adaptive controller, and with all rotors at full speed. Further numbers are
-    the mean power that the printed energy implies, and the greatest power that one of the study's
-    batteries can supply [W]. `study` has the results of the study.
+    `study` has the results of the study, and `experiment` selects the experiment. The result maps
+    names of numbers to their values; the template of the report's text inserts them. The numbers
+    are the energy [J] and the saving [percent] that the paper prints for the experiment, and four
+    energies that the study computes for it [J]: of hovering, of a simulated flight of the adaptive
+    controller along a smooth reference trajectory, of such a flight along a reference that jumps
+    to the goal, and of all rotors at full speed. If the study has no flight along a jump, the
+    energy of the flight along the smooth reference is repeated. Further numbers are the mean power
+    that the printed energy implies [W], and the power that the strongest of the study's batteries
+    can supply [W].
     """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC

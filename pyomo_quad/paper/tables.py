@@ -82,7 +82,7 @@ def corrections(study: PaperStudy) -> dict[str, Any]:
     Returns
     -------
     dict
-        Variables of the report's template.
+        Numbers and results by name. The template of the report's text inserts them by these names.
     """
     printed = paper_parameters().set_index("field")["printed"]["vehicle.torque_constant"]
     scenario = paper_scenario(Experiment.CALM)
@@ -256,10 +256,11 @@ def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
 
     The optimum is the plan of the same experiment under the same power model. The controlled flight
     does not end exactly at the goal. The energy that the controlled flight still needs to the exact
-    goal state is estimated with the costates of the optimum. This estimate is added to the energy
-    of the controlled flight; nothing is added if the solve found no optimum. The energy that the
-    optimum saves is given in percent of this sum, and in percent of the part of this sum above the
-    energy of hovering.
+    goal state is estimated with the costates of the plan. The compared energy of the controlled
+    flight is its energy plus this estimate. The estimate is not added if the controlled flight does
+    not end near the goal and nearly at rest, or if the solve of the plan did not converge. The
+    saving is the compared energy less the energy of the plan. It is given in percent of the
+    compared energy, and in percent of the part of the compared energy above the energy of hovering.
 
     Parameters
     ----------

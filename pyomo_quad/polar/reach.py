@@ -166,14 +166,15 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the least state of charge, and with the rate of climb in
-        `mission.return_flight`. If `mission.return_flight` also states the battery current of the
-        climb, this current is used; otherwise the function `climb_current` computes it.
+        Scenario with the least state of charge. Its table `mission.return_flight`, the settings of
+        a return flight, also states the rate of climb over terrain. If the table states the battery
+        current of the climb too, this current is used. Otherwise the function `climb_current`
+        computes the current, as the greater of those of a climb at zero airspeed and at the
+        airspeed of `curve` with the least energy per metre.
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve
-        Power and endurance over airspeed. From it follows the airspeed with the least energy per
-        metre in calm air, which `climb_current` needs.
+        Power and endurance over airspeed in calm air.
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -396,7 +397,15 @@ _ARROWS = 9  # along each side of the map
 
 
 def draw_reach_map(reach: Reach) -> Figure:
-    """Draw a map of the places within reach of the start, with arrows of the wind."""
+    """Draw a map of the places that a vehicle reaches on one battery charge, and of the wind.
+
+    Arrows show the wind.
+
+    Parameters
+    ----------
+    reach : Reach
+        Boundary of the places that the vehicle reaches from its start.
+    """
     figure = Figure(figsize=(FULL_WIDTH, 5.2))
     axes = figure.add_axes((0.12, 0.1, 0.84, 0.86))
     start = np.array(reach.scenario.mission.start.position)

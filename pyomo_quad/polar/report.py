@@ -132,7 +132,18 @@ _KILO = 1e-3
 
 
 def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
-    """List the figures of a polar's report."""
+    """List the figures of a polar's report, each with its caption and drawing function.
+
+    Parameters
+    ----------
+    polar : Polar
+        Steady flight over airspeed, payload and wind.
+
+    Returns
+    -------
+    tuple of Drawing
+        Figures of power over airspeed, best ground speeds in wind, and reach out and back.
+    """
     power = (
         "Level, steady flight in still air for each mass carried. The dots mark the speeds of "
         "least power, left, and of least energy per metre, right."

@@ -78,13 +78,15 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     All panels have the same energy scale. If the flights of each scenario have equal durations, the
     bars show the energy above hovering: the energy of the flight less the energy of hovering for
     the same time. Otherwise the bars show the total energy, because energies above hovering cannot
-    be compared between flights of different durations. Flights that did not reach the goal are
-    pale.
+    be compared between flights of different durations. The energy of a
+    flight that ends near the goal includes an estimate of the energy to the exact goal state. The
+    bars of flights that did not reach the goal are pale.
 
     Parameters
     ----------
     comparison : DataFrame
-        One row for each flight of each scenario, with the columns of `ComparisonColumn`.
+        One row for each flight of each scenario. The enumeration `ComparisonColumn` names the
+        columns, such as duration, energy and whether the flight reached the goal.
     """
     is_above = has_equal_durations(comparison)
     energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)

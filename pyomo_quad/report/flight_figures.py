@@ -504,15 +504,16 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 
 
 def draw_front(front: pd.DataFrame) -> Figure:
-    """Draw the energy-time front: least energy against duration, with the plan marked.
+    """Draw the energy-time front of a mission: least energy against duration.
 
     Each point is an optimal flight for one price of time: the energy that one second less of
-    flight is worth [J/s = W].
+    flight is worth [J/s = W]. A star marks the plan.
 
     Parameters
     ----------
     front : DataFrame
-        One row for each flight, with the columns of `FrontColumn`.
+        One row for each flight: price of time, duration, energy, and whether the flight is the
+        plan. The enumeration `FrontColumn` names these columns.
     """
     figure, panels = panel_grid(1, 1, panel_height=2.4, legend_entries=2)
     (axes,) = panels.flat

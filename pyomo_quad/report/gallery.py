@@ -172,9 +172,10 @@ def comparison_drawings(
     """List the figures of a comparison of flights: map, power over time, and energies.
 
     The map and the power over time show the plan and its rival, the flight against which the
-    printed energy saving is computed. The energy bars show the plan and the flights that arrived
-    and kept all limits, because only their energies can be compared. The result is empty if the
-    plan's table has no positions, because it is the plan of a user's Pyomo model without positions.
+    printed energy saving is computed. The energy bars show the plan and the flights that reached
+    the goal and kept all limits, because only the energies of such flights can be compared. The
+    result is empty if the plan's table has no positions, because the plan was made with a user's
+    Pyomo model without positions.
 
     Parameters
     ----------
@@ -183,7 +184,8 @@ def comparison_drawings(
     hover_energy_J : float
         Energy of hovering for the duration of the plan.
     comparison : DataFrame
-        One row for each flight, with the columns of `ComparisonColumn`.
+        One row for each flight. The enumeration `ComparisonColumn` names the columns, such as
+        whether the flight reached the goal, and whether it kept all limits.
     mission : Scenario
         Scenario whose zones and waypoints the map shows.
     """
@@ -252,8 +254,9 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
     Parameters
     ----------
     front : DataFrame
-        One row for each price of time (the energy that one second less of flight is worth, in W),
-        with the columns of `FrontColumn`.
+        One row for each price of time (the energy that one second less of flight is worth, in W):
+        price, duration and energy of the optimal flight, and whether this flight is the plan. The
+        enumeration `FrontColumn` names these columns.
     """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
@@ -300,7 +303,8 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
     Parameters
     ----------
     comparison : DataFrame
-        One row for each flight of each scenario, with the columns of `ComparisonColumn`.
+        One row for each flight of each scenario. The enumeration `ComparisonColumn` names the
+        columns, such as duration, energy and whether the flight reached the goal.
     """
     energy = "Energy above hovering for the same time"
     if not has_equal_durations(comparison):
@@ -497,8 +501,9 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
     """Return a warning for the caption of energy curves if the durations of the flights differ.
 
-    `flights` are the flights of the figure. Energies above hovering cannot be compared between
-    flights of different durations. The text is empty if the durations are equal.
+    `flights` are the flights of the figure. The energy above hovering is the energy of a flight
+    less the energy of hovering for the same time. Energies above hovering cannot be compared
+    between flights of different durations. The text is empty if the durations are equal.
     """
     if have_equal_durations(flights):
         return ""
@@ -528,7 +533,8 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    The curves show the energy above hovering over time. `flights` are the flights of the figure,
+    The curves show the energy above hovering over time: the energy that a flight has used until a
+    time, less the energy of hovering until then. `flights` are the flights of the figure,
     the first of which is the plan, and `hover_energy_J` is the energy of hovering for the duration
     of the plan. The sentence is empty if all curves can be distinguished.
     """

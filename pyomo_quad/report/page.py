@@ -30,7 +30,7 @@ def render_html(
     Parameters
     ----------
     markdown : str
-        Text of the report, as `render_markdown` returns it.
+        Text of the report. The function `render_markdown` makes it from a template.
     is_good : bool
         Whether the box with the report's main result has the colour of a success.
     pictures : mapping of str to bytes

@@ -272,7 +272,8 @@ def draw_space(
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose paths are so far from the plan's path that they leave the figure.
 
-    The first of the given flights is the plan.
+    The first of the given flights is the plan. A flight is returned if its largest distance from
+    the plan at equal times exceeds the diagonal of the box around the plan's path (and 0.2 m).
     """
     return _further(flights, ASTRAY)
 
@@ -289,8 +290,9 @@ def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.nda
 
     `flights` are the flights of the figure, the first of which is the plan; `mission` is the
     scenario whose airspace is drawn, or None. The ranges include the path of the plan, the paths of
-    the flights that stay near it (all but those of `leaving_paths`), and the keep-out zones, floor
-    and ceiling of the mission near these paths.
+    the flights that stay near the plan, and the keep-out zones, floor and ceiling of the mission
+    near these paths. The function `leaving_paths` returns the flights that do not stay near the
+    plan.
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -508,7 +510,7 @@ def view_data(flights: Sequence[StyledFlight], airspace: Airspace, arm_m: float)
     airspace : Airspace
         Keep-out zones to show.
     arm_m : float
-        Distance from the vehicle's centre to a rotor.
+        Distance from the vehicle's centre to a rotor [m].
 
     Returns
     -------

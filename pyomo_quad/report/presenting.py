@@ -1,8 +1,9 @@
 """Figures and reports for methods such as `Plan.plot` and `RunResult.report`.
 
 Those methods do not import this module, because the modules of plans and runs must not import
-matplotlib. Instead the package registers a function that imports this module with the registry
-`pyomo_quad.presentation`, and the methods obtain this module from the registry.
+matplotlib. Instead the package registers a function in the module `pyomo_quad.presentation`. The
+registered function imports and returns this module. The methods call it through
+`pyomo_quad.presentation`.
 """
 
 from collections.abc import Callable, Iterable, Mapping
