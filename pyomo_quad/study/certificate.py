@@ -310,12 +310,15 @@ class Certificate:
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
-        """Return the optimality gap of a flight: the energy that any other flight can save at most.
+        """Return the optimality gap of a flight, in per cent of the flight's energy.
+
+        The gap is the difference between the energy of the flight and the lower bound. No other
+        flight of the mission can save more energy than this difference.
 
         Parameters
         ----------
         energy_J : float
-            Energy of the flight.
+            Energy of the flight [J].
 
         Returns
         -------
@@ -592,8 +595,9 @@ def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: 
     scenario : Scenario
         The mission.
     counted : Scenario
-        The mission for which the bound was computed: the same, or the mission without its waypoints
-        if their order is open. The text then says that the waypoints are left out.
+        The mission for which the bound was computed. It is the object `scenario` itself, or a copy
+        of `scenario` without waypoints if the mission leaves the order of its waypoints open. For
+        such a copy, the returned text says that the waypoints are left out.
     legs : int
         Number of legs, flights from one waypoint to the next, in `counted`.
     of_field : str

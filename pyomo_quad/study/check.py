@@ -76,10 +76,11 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
     """Yield a finding for each battery limit that every flight of the mission must break.
 
-    `bound` is a lower bound on the energy of every flight of the mission [J]. Divided by the
-    duration, it gives a lower bound on the mean power. If a limit does not permit even this mean
-    power, every flight breaks the limit. `steady` computes current and voltage of the battery at a
-    given power.
+    `scenario` is the mission, of fixed duration, with the limits on the battery: on its state of
+    charge, its current, its voltage, and its power as a share of the greatest power. `bound` is a
+    lower bound on the energy of every flight of the mission [J]. This bound divided by the duration
+    is a lower bound on the mean power. If a limit does not permit even this mean power, every
+    flight breaks the limit. `steady` computes current and voltage of the battery at a given power.
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
@@ -320,14 +321,15 @@ def _too_short(
 
 
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
-    """Return a lower bound on the duration in which the available thrust suffices [s].
+    """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    The mission's own duration is too short; a message recommends to allow more than the returned
-    time. The bound is found by doubling and bisection, starting from the mission's duration. It is
-    infinite if no duration that was tried suffices, or if the wind after the end of the mission is
-    unknown. `scenario` is the mission. `demand` computes the thrust that the momentum balance of
-    the vehicle requires for the motion from start to goal, and `available` is the thrust that the
-    limits allow [N].
+    The function is called if the mission's own duration is too short. A message then recommends a
+    duration longer than the result. The result is found by doubling and bisection of the duration,
+    starting from the mission's duration. The result is infinite if the available thrust is too
+    small for all durations that were tried, or if the wind is a series of measurements over time
+    and thus unknown after the end of the mission. `scenario` is the mission. `demand` computes the
+    thrust that the momentum balance of the vehicle requires for the motion from start to goal, and
+    `available` is the thrust that the limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -592,8 +594,9 @@ def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
     f_r is the efficiency of motor and rotor in `power.model` "efficiency". In the valid range, the
-    motor's torque and f_r exceed the lower limits that the scenario sets. The caution states the
-    share of all mesh points and rotors of the plan that are outside the range.
+    motor's torque and f_r exceed the lower limits that the scenario sets. The range is checked for
+    each rotor at each mesh point of `plan`. The caution states the percentage of these rotor states
+    that are outside the range.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

@@ -134,8 +134,8 @@ its least over the flight; only if the scenario sets `limits.reserve`."""
 def has_arrived(flight: Flight) -> bool:
     """Return whether a flight ends at the goal and nearly at rest.
 
-    At the end of the flight, the distance from the goal may be at most `ARRIVAL_DISTANCE_M`, and
-    the speed at most `ARRIVAL_SPEED_M_PER_S`.
+    At the end of the flight, the distance from the goal may be at most the constant
+    `ARRIVAL_DISTANCE_M`, and the speed at most the constant `ARRIVAL_SPEED_M_PER_S`.
     """
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
@@ -155,11 +155,12 @@ def compare_flights(
         The mission, with the duration and the passing times of the plan; the property
         `mission_flown` of a `Plan` is this scenario.
     flights : sequence of Flight
-        Flights of the mission. The flight of the plan has the name "optimal" (`OPTIMAL`).
+        Flights of the mission. The flight of the plan is the one with the name "optimal", which is
+        the value of the constant `OPTIMAL`.
     certificate : Certificate
         Lower bound on the energy of the mission.
     hover_energy_J : float
-        Energy of hovering for the duration of the mission (the hover floor).
+        Energy of hovering for the duration of the mission.
 
     Returns
     -------
@@ -175,10 +176,12 @@ def compare_flights(
     the plan compared with a flight is (flight - plan) / flight, in per cent.  The table has two
     savings: of the sum, and of the part of the sum that exceeds the energy of hovering.
 
-    A flight has no saving, lower bound or gap if it did not arrive, broke a limit, or if its owed
-    energy is unknown, because the bound covers only flights that arrive within the limits.  If the
-    scenario has a wind forecast, no savings are given, and the plan has no bound: the plan was made
-    for the forecast wind, and the other flights were simulated in the actual wind.
+    Saving, lower bound and optimality gap are NaN for a flight that did not arrive or broke a
+    limit, because the bound covers only flights that arrive within the limits. They are NaN also
+    for a flight whose owed energy is unknown. A flight has arrived if it ends at the goal and
+    nearly at rest, see `has_arrived`.  If the scenario has a wind forecast, all savings are NaN,
+    and so are lower bound and gap of the plan. The reason is that the plan was made for the
+    forecast wind, whereas the other flights were simulated in the actual wind.
 
     ``hover_energy_J`` is the energy of hovering for the duration of the mission.  For a flight of
     another duration, hovering takes another energy. The flight then has a bound only if the
@@ -420,7 +423,9 @@ def settled_energy(flight: Flight) -> float:
     """Return the energy of a flight, plus its energy to complete if it arrived [J].
 
     The energy to complete is the energy that the vehicle needs from the flight's end state to the
-    exact goal state.
+    exact goal state. A flight has arrived if it ends at the goal and nearly at rest, as the
+    function `has_arrived` decides. If the flight did not arrive, or if its energy to complete is
+    unknown, the result is the energy of the flight alone.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
@@ -479,9 +484,10 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
     """Return the time that a flight spends near the goal [s].
 
-    Near is a distance of at most `INSIDE_DISTANCE_M`. `frame` is the flight's table, one row for
-    each time, and `scenario` has the goal. The interval between two rows counts half if the vehicle
-    is near the goal at one of the rows only.
+    The vehicle is near the goal if its distance from the goal is at most the constant
+    `INSIDE_DISTANCE_M`. `frame` is the flight's table, one row for each time, and `scenario` has
+    the goal. The interval between two rows counts half if the vehicle is near the goal at one of
+    the rows only. The result is NaN if the table lacks a coordinate of the position.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)

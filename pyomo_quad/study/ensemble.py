@@ -147,10 +147,10 @@ class Ensemble(Summarised):
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:
-        """Return the 5, 50 and 95 % quantiles (`BAND`) of one result over the flights.
+        """Return the 5, 50 and 95 % quantiles of one result over the flights.
 
-        `quantity` is the name of an attribute of `Ending`, the result of one flight, such as its
-        energy.
+        The constant `BAND` holds the levels of these three quantiles. `quantity` is the name of an
+        attribute of `Ending`, the result of one flight, such as the energy of the flight.
         """
         low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
         return low, middle, high
@@ -188,7 +188,7 @@ class Ensemble(Summarised):
 
         The quantities are position, speed, tilt, energy, and distance from the reference path. The
         table has a row for each time. Each quantity has three columns: its 5, 50 and 95 % quantiles
-        (`BAND`) over all flights at that time.
+        over all flights at that time. The constant `BAND` holds the levels of the quantiles.
         """
         import pandas as pd  # noqa: PLC0415  as above
 
@@ -317,8 +317,9 @@ class Saving:
     rival : Ensemble
         The other flights, one in each wind, such as the flights of an autopilot.
     percent : (float, float, float)
-        Saving in per cent: 5, 50 and 95 % quantiles (`BAND`) over the winds. The saving in one wind
-        is (rival - plan) / rival, computed from the energies of the two flights in this wind.
+        Saving in per cent: 5, 50 and 95 % quantiles over the winds. The constant `BAND` holds the
+        levels of the quantiles. The saving in one wind is 100 (rival - plan) / rival, where `plan`
+        and `rival` stand for the energies of the two flights in this wind.
     both_succeeded : int
         Number of winds in which the flight along the plan and the rival flight arrived and broke no
         limit. The percentages cover all winds.
@@ -423,8 +424,8 @@ def fly_in_turbulence(
     Returns
     -------
     InTurbulence or None
-        Flights in turbulence. None if the scenario has no turbulence, or if the plan cannot be
-        flown.
+        Flights in turbulence. None if the scenario has no turbulence, or if a simulation of
+        the plan's controls did not confirm the plan, not even to wide tolerances.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:

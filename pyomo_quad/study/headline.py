@@ -1,9 +1,11 @@
 """Headline of a run: its main results in a few sentences.
 
 The sentences state energy and duration of the plan, its energy saving, and the success of its
-simulated flights in turbulence. The saving is the difference from the flight of the autopilot tuned
-for least energy (`study.autopilot`). If a run has no flight of this autopilot, the plan is compared
-with the smooth baseline, or else with the flight of least energy that arrived within the limits.
+simulated flights in turbulence. The plan is compared with one other flight of the run, which must
+have arrived within the limits. This is the flight of the autopilot tuned for least energy (module
+`study.autopilot`). Without such a flight it is the simulated flight under the controller along a
+smooth path (quintic polynomial), or else the one that takes the least energy. The energy saving is
+the difference in energy between this flight and the plan.
 """
 
 from collections.abc import Iterable, Mapping
@@ -143,8 +145,9 @@ class Headline:
 def headline_of(result: "RunResult") -> Headline | None:
     """Return the headline of a run: its main results and their wording.
 
-    The result is None if the run has no plan that can be flown, or if the plan was made for a
-    forecast of the wind.
+    `result` holds the results of the run. The function returns None if a simulation of the controls
+    of the run's plan did not confirm the plan, not even to wide tolerances. It also returns None if
+    the plan was made for a forecast of the wind.
     """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
@@ -168,9 +171,13 @@ def headline_of(result: "RunResult") -> Headline | None:
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row.
 
-    `comparison` is the comparison table of the run, which has one row for each flight. Only other
-    flights that arrived within the limits qualify. The order of preference is: the tuned autopilot,
-    the smooth baseline, the flight of least energy. The result is None if no flight qualifies.
+    `comparison` is the comparison table of the run, which has one row for each flight. A flight
+    qualifies if it arrived within the limits, so that the table holds an energy saving of the plan
+    over this flight. The flight of the plan itself and the simulation of the plan's rotor commands
+    without feedback do not qualify. The first choice is the flight of the autopilot tuned for least
+    energy. The second choice is the flight under the controller along a smooth path (quintic
+    polynomial). The third choice is the flight of least energy among those that qualify. The result
+    is None if no flight qualifies.
     """
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]

@@ -31,8 +31,9 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     plan's flights in turbulence that the scenario permits to break limits. Each sentence names the
     limits that its flight breaks, and says whether the risk covers them. The risk covers a broken
     limit if this limit is among the three that the planner's test flights of the plan in turbulence
-    break most often. The risk applies only to flights under feedback that use the plan or its
-    forecast. If no flight breaks a limit, the only sentence says so.
+    break most often. The risk applies only to flights under feedback that track the plan, or
+    that solve the plan again during the flight with the actual wind known or estimated. If no
+    flight breaks a limit, the only sentence says so.
 
     Parameters
     ----------

@@ -7,7 +7,7 @@ thrust and airspeed.  Derivation: see docs/theory/bound.md, eqs. (14) to (23).
 
 symbol | meaning
 u, v, W | thrust, airspeed and wind, world axes
-U | middle of the box around all winds that occur; W itself if the wind is steady
+U | middle of the range of all winds that occur, axis by axis; W itself if the wind is steady
 f(v) | force of the air, against the airspeed
 s | thrust that holds the mass still at zero airspeed, as a rule its weight
 P | power of the vehicle, a function of u and v
@@ -275,10 +275,12 @@ class Pairs:
         which the drag equals the largest thrust plus the length of the attribute `standing`, the
         thrust that holds the vehicle still. In a steady wind the vehicle cannot accelerate at
         airspeeds above A; the second speed is then the greater of A and the speed of the wind,
-        which is the airspeed at rest. If the wind differs from place to place, the second speed is
-        at least A plus twice the greatest difference between a wind and the middle of the range of
-        winds. The result is infinite if the scenario has no speed limit and the drag never becomes
-        so large. Implements docs/theory/bound.md, eq. (22).
+        which is the airspeed at rest. If the wind differs from place to place, let U be the middle
+        of the range of winds, D the greatest difference between a wind and U, and V a speed
+        relative to air of velocity U above which this speed cannot grow, whatever wind of the range
+        blows; V is at least A + D. The second speed is then D plus the greater of V and the size of
+        U. The result is infinite if the scenario has no speed limit and the drag never becomes so
+        large. Implements docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max

@@ -1,4 +1,7 @@
-"""Run of a scenario: plan, simulated baselines, comparison and lower bound."""
+"""Run of a scenario: plan, simulated flights, their comparison, and lower bound on the energy.
+
+The simulated flights follow the plan or other reference trajectories, such as a smooth path.
+"""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -62,14 +65,16 @@ class RunResult(Summarised):
         Energy-time front: least energy against duration, see `study.front`; empty if the mission
         fixes its duration.
     aims : DataFrame
-        Comparison of the plans of least energy and of least battery charge, see `study.aims`; empty
-        with the attitude equations of Yacef et al. (`vehicle.attitude` "paper") and in the other
-        cases that `aims.energy_and_charge` lists.
+        Comparison of the plans of least energy and of least battery charge, from the function
+        `study.aims.energy_and_charge`. The table is empty with the attitude equations of Yacef et
+        al. (`vehicle.attitude` "paper"), with a user's own model, if the objective is the least
+        time, if the plan is not verified, or if the solve for the other objective fails.
     timings : mapping
-        Wall-clock times [s] by name: the times of planning (`Plan.timings`); "certify" for the
-        lower bound; "front" for energy against time and for the comparison of objectives; "fly" for
-        flights and cautions, less the time that this process spent on "certify" and "front"
-        meanwhile.
+        Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
+        "certify" is the time for the lower bound. "front" is the time for the tables `front` and
+        `aims`. "fly" is the time from the end of planning to the end of the last simulated flight,
+        with the cautions, less the time that this process meanwhile spent on the lower bound, the
+        two tables and the function `meanwhile` of `run_scenario`.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
@@ -107,10 +112,11 @@ class RunResult(Summarised):
 
     @property
     def gap_percent(self) -> float | None:
-        """Optimality gap: energy of the plan above the lower bound, in per cent of the former.
+        """Optimality gap in per cent: 100 (energy of the plan - lower bound) / energy of the plan.
 
         No flight of the mission can save more than this part of the plan's energy. None if no bound
-        is known, if the plan has no flight, or if the plan was made for a forecast of the wind.
+        is known, if `flights` is empty because the solve failed, or if the plan was made for a
+        forecast of the wind.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -211,7 +217,8 @@ class RunResult(Summarised):
         Parameters
         ----------
         folder : str or Path
-            A folder that is new, empty or an earlier report; it appears complete or not at all.
+            Folder that receives the report: a new folder, an empty one, or one that holds an
+            earlier report. The new report appears there only when it is complete.
         figures : {"svg", "png", "all", "none"}, optional
             Formats of the figures.
 

@@ -297,10 +297,12 @@ class _Flown:
     def saved(self) -> float:
         """Energy saving of the plan compared with this flight, as a fraction.
 
-        This flight is here a simulated flight under the controller. The saving is relative to the
-        energy of this flight, to which the estimated energy that the vehicle still needs from the
-        end of the flight to the goal state is added. NaN if plan and flight are not comparable, for
-        example if the flight did not arrive.
+        For this property the flight is simulated under the controller along a reference trajectory
+        that the sweep lists for comparison, such as a smooth path. The saving is 1 - (energy of the
+        plan) / E. E is the energy of the flight plus the estimated energy that the vehicle still
+        needs from the end of the flight to the exact goal state. The saving is NaN if the flight
+        did not arrive, if it broke a limit, or if the energy still needed is unknown. A flight has
+        arrived if it ends at the goal and nearly at rest, as the function `has_arrived` decides.
         """
         if not is_comparable(self.flight):
             return np.nan
