@@ -240,11 +240,7 @@ class Dynamics:
 
     @property
     def signal_names(self) -> tuple[str, ...]:
-        """Full names of the time-dependent parameters of the equations.
-
-        Their order is that of the parameters' values in the list that the method `moment` returns,
-        the list of all time-dependent inputs of the equations.
-        """
+        """Full names of the time-dependent parameters, in the order used by the method `moment`."""
         return tuple(slot.name for slot in self._formulation.compiled.declared.signals)
 
     def moment(self, t: float) -> list[float]:

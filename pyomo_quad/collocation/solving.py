@@ -121,10 +121,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether the result of the last strategy ends the search.
+        """Return whether no further solution strategy needs to be tried.
 
-        Every result ends the search, unless its solve stopped because it exceeded its budget of
-        iterations. The attribute `has_ended` records this; the result `found` itself is not used.
+        A further one is tried only if the last solve was stopped because it exceeded its budget of
+        iterations. The result `found` of the last solve is not used.
         """
         del found
         return self.has_ended

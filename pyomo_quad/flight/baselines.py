@@ -672,9 +672,9 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Some tolerances are larger than those of a plan. At a waypoint, and in a hover at a waypoint,
-    the distance and the speed may exceed their limits by the distance and the speed with which a
-    flight may arrive at its goal. The limit that keeps the heading is not checked.
+    Two tolerances are larger than those of a plan: the limits on the distance from a waypoint, and
+    on the speed there, may be exceeded by as much as is tolerated on arrival at the goal. The limit
+    that keeps the heading is not checked.
 
     Parameters
     ----------

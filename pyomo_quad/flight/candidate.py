@@ -220,11 +220,11 @@ class Candidate:
         return start if isinstance(start, WarmStart) else None
 
     def starts_warm(self) -> bool:
-        """Return whether the search can start from the variables and multipliers of a solve.
+        """Return whether the user gave a warm start that fits the mission's problem.
 
-        These values are a warm start. The caller gives it to the search either directly or as a
-        part of a plan. It can be used only if the solve that it comes from had the same variables
-        and equations as the mission's problem.
+        A warm start has the variables and multipliers of an earlier solve. It fits if that solve
+        had the same variables and equations as the mission's problem. The user gives it directly,
+        or with the plan that was made from that solve.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -413,12 +413,15 @@ class Candidate:
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
-        """Solve the failed mission again, starting from the solution of a longer duration.
+        """Solve the failed mission again, starting from a slower flight that was solved before.
+
+        The slower flight is the mission's flight with a longer duration, which the method
+        `slow_down` has solved for.
 
         Returns
         -------
         str or None
-            The solver's status; None if there is no such solution.
+            The solver's status of the new solve; None if `slow_down` has found no slower flight.
         """
         return None if self.slower is None else self._retried(self.slower)
 

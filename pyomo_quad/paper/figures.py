@@ -1,6 +1,7 @@
-"""Counterparts of figures 1 to 7 of Yacef et al., and a figure of least energies under f_r.
+"""Counterparts of figures 1 to 7 of Yacef et al., and a figure of least energies.
 
-f_r is the efficiency of motor and rotor in their paper.
+The additional figure shows the least energy of the mission if the power is computed with f_r, the
+efficiency of motor and rotor in the paper of Yacef et al.
 """
 
 from collections.abc import Iterator

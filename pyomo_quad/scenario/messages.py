@@ -299,19 +299,22 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the model class of the table, or list of tables, that is a field's value.
+    """Return the pydantic class of the values of a field.
+
+    A table of a scenario file is an instance of a pydantic class. A field of a table may have
+    another table as its value, or a list of tables.
 
     Parameters
     ----------
     model : type of BaseModel
-        Class of the table that has the field.
+        Class of the table with the field.
     name : str
         Name of the field.
 
     Returns
     -------
     type of BaseModel or None
-        None if the field's value is neither a table nor a list of tables.
+        Class of the table, or of the tables in the list; None if the field has any other value.
     """
     field = model.model_fields.get(name)
     annotation: Any = field.annotation if field is not None else None

@@ -403,11 +403,18 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
     """Raise an error if a program has values that are not finite, or is over-determined.
 
-    `program` is the nonlinear program, and `bounds` are the bounds of its unknowns and constraints.
-    The values are those of constraints, objective and derivatives at the initial point `z`. A
-    program is over-determined under two conditions. The program has more equations (constraints
-    with equal bounds) than free unknowns (unknowns with unequal bounds), and all its equations are
-    linear and contradict each other.
+    A program is over-determined if it has more equations than free unknowns and its equations are
+    an inconsistent linear system.
+
+    Parameters
+    ----------
+    program : Transcription
+        The nonlinear program.
+    bounds : Bounds
+        Bounds of its unknowns and constraints. Unknowns with unequal bounds are free, constraints
+        with equal bounds are equations.
+    z : ndarray, shape (n_unknowns,)
+        Initial point, at which constraints, objective and derivatives are evaluated.
 
     Raises
     ------

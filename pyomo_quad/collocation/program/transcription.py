@@ -274,8 +274,8 @@ class Transcription:
         """Return the variables at the collocation points, one row per point.
 
         The columns are the rates (derivatives of the states with respect to the fraction of the
-        horizon), the states, the algebraic variables and the static variables (without time). `z`
-        are the unknowns of the program.
+        horizon), the states, the algebraic variables, and the static variables, which are the same
+        at all points. `z` are the unknowns of the program.
         """
         layout = self.layout
         states = z[layout.state_columns]

@@ -228,11 +228,13 @@ def _weights(count: int, cells: int, degree: int) -> Any:
     Returns
     -------
     casadi.Function
-        (point, then one column per axis) -> one matrix per axis. The column describes the cell that
-        contains the point, along the axis: anchor (origin of the local coordinate), reciprocal
-        width, index of the first basis function that is not zero in the cell, and coefficients of
-        these basis functions in powers of the local coordinate. The matrix has the shape
-        (degree + 1, 3): a row for each factor, with its value, first and second derivative.
+        Function of a point and of one column per axis. Its results are one matrix per axis, of
+        shape (degree + 1, 3), with a row for each factor: value, first and second derivative.
+        The column of an axis describes the cell that contains the point. Its entries are the origin
+        of the local coordinate, the reciprocal width of the cell, the index of the first basis
+        function that is not zero in the cell, and the coefficients of the basis functions as
+        polynomials of the local coordinate. Along an axis with powers, only the first two entries
+        are used.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)

@@ -175,11 +175,10 @@ def _is_same(held: Any, stated: Any) -> bool:
 
 
 class _PrefixNotation(PrefixVisitor):
-    """Visitor that writes a Pyomo expression in prefix notation, to compare two expressions.
+    """Visitor that writes a Pyomo expression in prefix notation, so that two can be compared.
 
-    A named expression is written as a single entry, without its contents. The contents are not
-    needed here, because each named expression with a rule is compared with that rule separately.
-    This saves a comparison of the contents for each equation that contains the named expression.
+    A named expression is written as a single entry, without its contents. Its contents are compared
+    once, when the named expression itself is compared with the expression that its rule returns.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name

@@ -177,11 +177,9 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether controls are expected to reach their limits with kinks (jumps of the slope) instead
-        of jumps. Jumps are expected of a control that enters the equations linearly. A solve with
-        such a control on a later mesh than the first has a penalty, which keeps the control near
-        the control on the previous mesh. Kinks are therefore expected on every mesh after the first
-        that was solved without such a penalty.
+        Whether the controls are expected to reach their limits continuously, with a jump of the
+        slope only (a kink). A control that enters the equations linearly is expected to jump
+        instead.
     """
 
     coarse: frozenset[int]
