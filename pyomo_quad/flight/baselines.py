@@ -136,9 +136,9 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
 
 
 def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the final values of the states that the mission requires: hover at the goal.
+    """Return the values that the mission requires of the states at its end: hover at the goal.
 
-    The rotor speeds in this hover are those of a vehicle that has released its payloads.
+    The rotor speeds are those of hover after the release of all payloads.
 
     Parameters
     ----------
@@ -150,7 +150,8 @@ def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     Returns
     -------
     dict
-        State name -> value in the state's unit; the battery's states are free and not included.
+        State name -> value in the state's unit. The states of the battery are not included, because
+        the mission does not require values of them.
     """
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
@@ -167,10 +168,10 @@ def _hovering(
 
 
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
-    """Return the charge already drawn from the full battery at the start of the flight [A h].
+    """Return the charge missing from the full battery at the start of the flight [A h].
 
-    `scenario` gives the initial state of charge. In `dynamics`, the state of charge is a linear
-    function of the charge drawn; this equation is solved for the charge drawn.
+    `scenario` gives the initial state of charge. In the model `dynamics`, the state of charge is a
+    linear function of the missing charge. The missing charge is computed from this function.
     """
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
@@ -192,18 +193,17 @@ RATE_HZ = 100.0
 
 
 class TumblingGuard:
-    """Guard that stops the simulation of a tumbling vehicle, by a limit on evaluations.
+    """Guard that stops the simulation of a tumbling vehicle.
 
-    The integration of a tumbling vehicle needs far more evaluations of the right-hand side of its
-    differential equations than the integration of a controlled vehicle. The guard counts them and
-    raises an error above the limit.
+    The guard counts how often the integrator evaluates the differential equations, and raises an
+    error above a limit. A tumbling vehicle needs far more evaluations than a controlled vehicle.
 
     Parameters
     ----------
     flight : str
         Name of the flight, for the error message.
     duration : float
-        Duration of the flight [s]; the allowed number of evaluations grows with it.
+        Duration of the flight [s]. The limit is proportional to the duration.
     """
 
     def __init__(self, flight: str, duration: float) -> None:
@@ -286,7 +286,8 @@ def fly(
     controller : AdaptiveController
         Control law and its gains.
     reference : callable
-        Takes a time [s] and returns the `Setpoint` to follow: position, velocity and acceleration.
+        Takes a time [s] and returns the `Setpoint` to follow: position and yaw with their first two
+        derivatives.
     initial_state : ndarray, shape (n_states,)
         State of the vehicle at the first time.
     times : ndarray, shape (n,)
@@ -296,9 +297,9 @@ def fly(
     tolerance : float, optional
         Relative and absolute tolerance of the integrator.
     last : ndarray, shape (22,), optional
-        States of the controller at the first time, in the order of the names in
-        `CONTROLLER_STATES`, if the controller followed another reference until then; None if the
-        controller starts with this flight.
+        States of the controller at the end of the previous part of the flight, in which it followed
+        another reference. The order is that of the names in `CONTROLLER_STATES`. None if there is
+        no previous part.
 
     Returns
     -------
@@ -308,8 +309,8 @@ def fly(
     Raises
     ------
     SolveError
-        If the integration fails before the last time, or takes so many evaluations that the vehicle
-        must be tumbling.
+        If the integration fails, or if the vehicle tumbles. A vehicle counts as tumbling if the
+        integrator needs too many evaluations.
     """
     loop = _Loop(dynamics, controller, reference, duration=times[-1] - times[0])
     span = float(times[0]), float(times[-1])
@@ -332,10 +333,10 @@ def fly(
 class _Loop:
     """Closed loop of vehicle and controller as a system of differential equations.
 
-    Its joint state holds the states of the vehicle, the states of the controller, and the energy
-    spent. `dynamics` has the equations of the vehicle; `controller` follows the path `reference`.
-    `duration` is the duration of the flight [s]. The longer it is, the more evaluations of the
-    right-hand side are allowed before the vehicle counts as tumbling and an error is raised.
+    The joint state of the system holds the states of the vehicle, the states of the controller, and
+    the energy spent. `dynamics` has the equations of the vehicle. `controller` follows the path
+    `reference`. `duration` is the duration of the flight [s]; it determines how many evaluations
+    are allowed before the vehicle counts as tumbling and an error is raised.
     """
 
     def __init__(
@@ -359,8 +360,8 @@ class _Loop:
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the joint state of vehicle, controller and energy at the initial time t [s].
 
-        `state` is the initial state of the vehicle. If the controller followed another reference
-        before, `last` is the controller's state at the end of that reference; otherwise it is None.
+        `state` is the initial state of the vehicle. `last` is the final state of the controller in
+        the previous part of the flight, or None if there is no previous part.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -428,29 +429,30 @@ def fly_baseline(
 ) -> Flight:
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
-    The flight is simulated by two integrators that share no code. The flight is verified if both
-    simulations end at the same place with the same energy, within the tolerances that apply to
-    plans, and if the battery can give the power.
+    Two integrators that share no code simulate the flight. The flight is verified if both give the
+    same final position and energy, within the tolerances that apply to plans, and if the battery
+    can supply the power.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times. If the reference is an autopilot's cruise, the times must be
-        those that the function `routes.cruise_at` computes for a cruise.
+        The mission with fixed times. If the reference is an autopilot's cruise, the times must come
+        from the function `routes.cruise_at`.
     reference : Reference
         Kind of path that the controller follows.
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        Plan to follow, if the reference is the plan. For any reference, the plan's costates at the
-        end give an estimate of the energy needed from the final state of the flight to the planned
-        final state, the hover at the goal. Without a plan, the estimate is NaN.
+        The plan to follow, if the reference is the plan. For any reference, the costates of the
+        plan at its end give an estimate of the energy still needed: from the final state of the
+        flight to hover at the goal.
 
     Returns
     -------
     Flight
-        The flight, with a table of its quantities over time and with its results. The attribute
-        `owed_energy_J` has the estimate; it is also NaN if the plan was made for a forecast wind.
+        Table of the flight over time, and results. The attribute `owed_energy_J` is the estimate of
+        the energy still needed. It is NaN without a plan, and for a plan that was made for a
+        forecast wind.
 
     Raises
     ------
@@ -608,8 +610,8 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
 
-    The energy still needed is that from the final state of the flight to the planned final state,
-    the hover at the goal. It is zero if these two states are equal.
+    The energy still needed is the energy to get from the final state of the flight to hover at the
+    goal.
 
     Parameters
     ----------
@@ -624,14 +626,14 @@ def assembled_flight(
         several parts if the plan is replaced in flight.
     plan : Plan or None
         Plan whose costates give the estimate of the energy still needed. The estimate is NaN
-        without a plan, or if the plan was made for a forecast wind.
+        without a plan, and for a plan that was made for a forecast wind.
     began : float
         Value of `time.perf_counter` at the start of the simulation [s], for the computing time.
 
     Returns
     -------
     Flight
-        Verified if the integrators agree on each part and the battery can give the power.
+        Verified if the integrators agree on each part and the battery can supply the power.
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
@@ -672,9 +674,10 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Two tolerances are larger than those of a plan: the limits on the distance from a waypoint, and
-    on the speed there, may be exceeded by as much as is tolerated on arrival at the goal. The limit
-    that keeps the heading is not checked.
+    Some tolerances are larger than for plans. The largest distance from a waypoint may be exceeded
+    by the distance from the goal that is tolerated on arrival. The largest speed at a waypoint may
+    be exceeded by the speed that is tolerated on arrival. The limit that keeps the heading is not
+    checked.
 
     Parameters
     ----------
@@ -706,9 +709,9 @@ def broken_under_control(
 class _Missed:
     """Record of a waypoint that a flight passes too far away or too fast.
 
-    `limit` is the name of the violated constraint, on distance or speed at the waypoint, in the
-    Pyomo model. `relative` is the violation relative to the larger of 1 and the limit. `words` is a
-    text for the user with the limit and the actual distance [m] or speed [m/s].
+    `limit` is the name of the violated constraint in the Pyomo model. `relative` is the violation
+    relative to the larger of 1 and the limit. `words` is a text for the user with the limit and the
+    actual distance [m] or speed [m/s].
     """
 
     limit: str
@@ -720,9 +723,9 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
     """Yield a record for each violated limit on distance or speed at a waypoint.
 
     `flown` has the samples of the flight, `dynamics` the order of their states, and `scenario` the
-    waypoints. Only waypoints with given times are checked. A limit counts as kept if it is exceeded
-    by no more than the distance and the speed with which a flight may arrive at its goal
-    (`ARRIVAL_DISTANCE_M`, `ARRIVAL_SPEED_M_PER_S`).
+    waypoints. Only waypoints with given times are checked. A distance may exceed its limit by
+    `ARRIVAL_DISTANCE_M` [m], and a speed by `ARRIVAL_SPEED_M_PER_S` [m/s]. These constants are the
+    tolerances on arrival at the goal.
     """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
@@ -813,10 +816,11 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons, in words, why a simulated flight is not verified.
 
-    `flown_twice` has, for each part of the flight, its two simulations by different integrators.
-    `flown` is the whole flight as the first integrator gives it, `dynamics` the simulated vehicle.
-    Possible reasons are that the two integrators differ in final position or energy, and that the
-    battery cannot supply the power, the charge or the voltage.
+    `flown_twice` has two simulations of each part of the flight, by different integrators. `flown`
+    is the whole flight as simulated by the first integrator. `dynamics` is the simulated vehicle.
+
+    The two integrators may differ in final position or energy, or the battery may not supply the
+    power, the charge or the voltage.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
@@ -854,9 +858,9 @@ def _doubts(
 def _joined(parts: Sequence[Flown]) -> Flown:
     """Join consecutive parts of a simulated flight into one flight.
 
-    `parts` has the samples of each part, whose energy counts from the start of the part. In the
-    result, the energy counts from the start of the flight. The last sample of a part, which is also
-    the first sample of the next part, is included once.
+    `parts` has the samples of each part. The energy of a part counts from the start of the part; in
+    the result, the energy counts from the start of the flight. The last sample of a part equals the
+    first sample of the next part, and is included once.
     """
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
@@ -873,10 +877,9 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
     """Raise an error for a vehicle model that lacks a state which the controller measures.
 
-    The controller needs the position, velocity, attitude and body rates of a quadrotor; the tuple
-    `MEASURED_STATES` has the names of these states. `dynamics` is the vehicle model with its
-    states. `scenario` is the scenario of the model; the error message contains the name of the
-    scenario.
+    The controller measures the position, velocity, attitude and body rates of a quadrotor. The
+    tuple `MEASURED_STATES` has the names of these states. `dynamics` is the vehicle model.
+    `scenario` gives the name for the error message.
 
     Raises
     ------

@@ -81,36 +81,35 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A margin is the amount by which a plan must stay inside the limit: the plan keeps a limit
-        that is tightened by the margin. The present plan is the plan for which these statistics
-        were computed. Its distance from the limit at each time gives the assumed distance of a plan
-        with the new margin. Where the tightened limit is active in the present plan, or where the
-        present distance is smaller than the new margin, the new distance is equal to the new
-        margin. At all other times the distance does not change.
+        A margin tightens the limit that a plan must keep, so that the plan stays away from the true
+        limit. The statistics belong to the present plan. The distance of the new plan from the
+        limit is predicted from the present plan. At times when the present plan is at its tightened
+        limit, the distance becomes the new margin. At all other times, the distance stays the same,
+        but is at least the new margin.
 
         Parameters
         ----------
         present : float
             Margin of the present plan, in the unit of the limit.
         changed : float
-            New margin, in the unit of the limit.
+            Margin of the new plan, in the unit of the limit.
 
         Returns
         -------
         float
-            Probability that a flight along the plan with the new margin breaks the limit.
+            Probability that a flight along the new plan breaks the limit.
         """
         is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
         to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
         return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, present: float, largest: float) -> float:
-        """Return the smallest margin for which a violation has at most the probability ``share``.
+        """Return the smallest margin with which a flight keeps the limit well enough.
 
-        A violation means that a flight breaks the limit. A margin is the amount by which a plan
-        must stay inside the limit, in the unit of the limit. `present` is the margin of the present
-        plan, for which these statistics were computed. `largest` is the largest margin considered;
-        it is returned if no smaller margin makes the probability small enough.
+        The limit is kept well enough if a flight breaks it with at most the probability `share`. A
+        margin is the amount by which the limit is tightened for a plan, in the unit of the limit.
+        `present` is the margin of the plan for which these statistics were computed. `largest` is
+        the largest margin considered. If even this margin is too small, it is returned.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -133,8 +132,8 @@ _HALVINGS = 30
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight is beyond a limit at the first time or crosses it later.
 
-    The distance from the limit is normally distributed over the flights, and negative beyond the
-    limit. The probability of crossings follows from Rice's formula.
+    Over the flights, the distance from the limit is normally distributed. Negative distances are
+    beyond the limit. The probability of crossings follows from Rice's formula.
 
     Parameters
     ----------
@@ -200,7 +199,8 @@ def limit_distances(
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
     """Return the derivatives of all path constraints with respect to the states.
 
-    They are central differences about the mean flight of `spread`, the distribution of flights.
+    `spread` is the distribution of flights. The derivatives are central differences about its mean
+    flight.
 
     Returns
     -------
@@ -235,22 +235,23 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 class Miss:
     """Random samples of the distance or speed of flights in turbulence at a goal or waypoint.
 
-    The mission limits this quantity: either the distance of the vehicle from the goal or waypoint,
-    or its speed there. There are samples for each instant at which the limit applies.
+    The samples are of one quantity that the mission limits: the distance of the vehicle from the
+    goal or waypoint, or the speed of the vehicle there. Each instant at which the limit applies has
+    its own samples.
 
     Attributes
     ----------
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field whose limit can be tightened in the plan's problem, such as the radius of the
-        waypoint, so that fewer flights break the mission's limit. It is empty if there is no such
-        field, for example at the goal, which the plan reaches exactly. Fewer flights then break the
-        limit only if the plan leaves the rotors a larger reserve of thrust for the controller.
+        Scenario field that sets the limit, such as the radius of the waypoint. If the field is
+        tightened for the plan, fewer flights break the limit. The name is empty without such a
+        field, for example at the goal, which the plan reaches exactly. There, only a larger reserve
+        of thrust for the controller makes fewer flights break the limit.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
-        Largest distance or speed allowed.
+        Largest distance [m] or speed [m/s] allowed.
     """
 
     words: str
@@ -276,8 +277,8 @@ class Miss:
     def excess(self, share: float) -> float:
         """Return how much smaller the distances [m] or speeds [m/s] must be to keep the limit.
 
-        If all samples were smaller by the returned amount, a flight would break the limit with at
-        most the probability `share`. The amount is zero if this is the case already.
+        The limit counts as kept if a flight breaks it with at most the probability `share`. The
+        result is zero if no reduction is needed.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)

@@ -1,7 +1,8 @@
-"""Caches of the compiled problems and the calculators of steady flight that were made last.
+"""Caches of compiled problems and of calculators of steady flight.
 
-A compiled problem is the optimal control problem of a scenario, ready to be solved. A calculator of
-steady flight (class `SteadyFlight`) computes flight at constant velocity.
+Each cache keeps the few values stored last. A compiled problem is the optimal control problem of a
+scenario, ready to be solved. A calculator of steady flight (class `SteadyFlight`) computes flight
+at constant velocity.
 """
 
 from __future__ import annotations

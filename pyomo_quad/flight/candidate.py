@@ -1,9 +1,9 @@
 """Candidate plan of a mission, which the planning strategies improve step by step.
 
-A candidate is the best solution that the search for a plan has found so far. Its methods are the
-conditions and the actions of the strategies; the table in `flight.strategies` pairs each action
-with its condition. An action returns its outcome as text for the record of the search, or None if
-there is nothing to record.
+A candidate is the best solution found so far in the search for a plan. A strategy is an action with
+a condition for using it; the table in `flight.strategies` lists the strategies. The conditions and
+actions are methods of the candidate. An action returns its outcome as text for the record of the
+search, or None if there is nothing to record.
 """
 
 from __future__ import annotations
@@ -59,11 +59,10 @@ _MOST_STRICTER = 4
 class AlongShortest:
     """Starting point of a search for a plan: the mission's solution along its shortest route.
 
-    A mission with keep-out zones or a wind field has several routes, of which one is the shortest.
-    `flight` is the solution along the shortest route, on a single coarse mesh. It was computed
-    before the search for a plan, when the best order of the waypoints was searched. The search for
-    a plan does not solve along the shortest route again, but still solves along the other routes
-    and compares their solutions with `flight`.
+    A mission with keep-out zones or a wind field has several routes. `flight` is the solution along
+    the shortest route, on a single coarse mesh. This solution is known before the search begins,
+    from the search for the best order of the waypoints. The search for a plan solves only along the
+    other routes and compares their solutions with `flight`.
     """
 
     flight: Solution
@@ -83,11 +82,13 @@ class Candidate:
     mission : MissionProblem
         Compiled problem of the scenario in its forecast wind.
     search : Search
-        Progress callback that stops solves at the time limit, and record of the strategies tried.
+        Record of the strategies tried. It is also the progress callback that stops solves at the
+        time limit.
     start : Start or None
         Solution or plan of a similar problem, from which the search starts.
     solution : Solution or None
-        Solution of the first solve or, if that solve failed, of the first retry that succeeded.
+        Solution of the first solve. If the first solve failed, solution of the first later solve
+        that succeeded.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
@@ -95,17 +96,17 @@ class Candidate:
     diagnosis : Diagnosis or None
         Diagnosis of a failed solve.
     slower : Trajectory or None
-        Solution of the mission with a longer duration, if that was solved.
+        Solution of the mission with a longer duration, if there is one.
     shortest : Solution or None
-        Solution with the least duration in which the mission can be flown within its limits, if
-        the method `find_shortest` found one.
+        Solution with the least duration in which the mission can be flown within its limits, if the
+        method `find_shortest` found one.
     failure : Failure or None
         Reason why all strategies failed.
     flown : Plan or None
         The plan made from the solution, with the result of its simulation.
     tolerance : float
-        Tolerance of the mesh refinement; it is reduced after each simulation that does not confirm
-        the plan.
+        Tolerance of the mesh refinement. It may be reduced if a simulation does not confirm the
+        plan.
     """
 
     scenario: Scenario
@@ -164,8 +165,9 @@ class Candidate:
     def has_routes(self) -> bool:
         """Return whether the search begins by comparing several routes.
 
-        A mission has several routes round keep-out zones or through a wind field. They are not
-        compared if the search starts from a plan or from the solution of a similar problem.
+        A mission with keep-out zones or a wind field may have several routes. They are not compared
+        if the search starts from a plan, from a warm start, or from the solution of a similar
+        problem.
         """
         is_open = self.start is None or isinstance(self.start, AlongShortest)
         return is_open and self.mission.has_routes
@@ -205,9 +207,9 @@ class Candidate:
     def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
         """Return the trajectory of a similar problem, for use as an initial guess of the mission.
 
-        `mission` is the problem to solve, `similar` the solution of the similar problem. The static
-        variables of that solution (those that are constant in time) are sorted by name into the
-        order of the mission's problem.
+        `mission` is the problem to solve, `similar` the solution of the similar problem. Both
+        problems have the same static variables (variables that are constant in time), but perhaps
+        in another order. The result has the order of `mission`.
         """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
@@ -222,9 +224,9 @@ class Candidate:
     def starts_warm(self) -> bool:
         """Return whether the user gave a warm start that fits the mission's problem.
 
-        A warm start has the variables and multipliers of an earlier solve. It fits if that solve
-        had the same variables and equations as the mission's problem. The user gives it directly,
-        or with the plan that was made from that solve.
+        A warm start has the variables and multipliers of an earlier solve. It fits if the earlier
+        solve had the same variables and equations as the mission's problem. The user gives a warm
+        start directly, or as a part of a plan.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -232,10 +234,10 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, its result is as a rule kept as a failed solution. The
-        exception is a mission without regeneration, for which the result is discarded, so that
-        other strategies are tried. The power of such a mission has a kink at zero, because a rotor
-        that brakes returns no energy; the kink makes the problem hard to solve directly.
+        If the solve does not converge, its result is kept as a failed solution. Only for a mission
+        without regeneration, the result is discarded, and other strategies are tried. A mission
+        without regeneration is hard to solve directly: a rotor that brakes returns no energy, so
+        the power has a kink at zero.
 
         Returns
         -------
@@ -273,11 +275,11 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        Long means long compared with the time in which the vehicle changes its attitude. The
-        result is False if the mission is solved already, or if its route is not straight. It is
-        also False for two kinds of models that need another initial guess: a user's own model, and
-        a model without regeneration, whose power has a kink at zero because a rotor that brakes
-        returns no energy.
+        A long flight takes much longer than the vehicle needs to change its attitude. The result is
+        False if the mission is solved already, or if its route is not straight. It is also False
+        for a user's own model and for a model without regeneration. Without regeneration, a rotor
+        that brakes returns no energy; the power then has a kink at zero and needs another initial
+        guess.
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
@@ -335,16 +337,16 @@ class Candidate:
     def has_failed(self) -> bool:
         """Return whether the mission's solve failed although a route to the goal exists.
 
-        Without a route, because keep-out zones block every one, solving again is useless.
+        If keep-out zones block every route, the result is False, because solving again is useless.
         """
         return self.found.status.has_failed and not self.is_closed
 
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed. The
-        solution of the easier mission serves as initial guess of another attempt. There is an
-        easier mission if a waypoint has a radius or a speed limit.
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed. The method
+        `past_waypoints` uses the solution of the easier mission as initial guess. The mission has
+        an easier mission if a waypoint has a radius or a speed limit.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -356,7 +358,8 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status; None if the solve of the easier mission fails.
+            The solver's status for the mission itself; None if the solve of the easier mission
+            fails.
         """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
@@ -367,9 +370,8 @@ class Candidate:
     def restore(self) -> str | None:
         """Diagnose the failed solve by an elastic problem, and solve the mission again.
 
-        The elastic problem minimises the violation of the mission's limits. If its solution
-        violates no limit, the solution is a feasible point of the mission, and the mission is
-        solved again from there.
+        The elastic problem minimises the violation of the mission's limits. A solution without
+        violations is a feasible point of the mission. The mission is solved again from this point.
 
         Returns
         -------
@@ -383,7 +385,8 @@ class Candidate:
     def may_be_slower(self) -> bool:
         """Return whether the failed mission might be feasible if it lasted longer.
 
-        This requires a mission of fixed duration that is not proven infeasible.
+        The result is False if the duration of the mission is free, or if the diagnosis of the
+        failed solve calls the mission infeasible.
         """
         is_infeasible = self.diagnosis is not None and self.diagnosis.is_infeasible
         return self.has_failed() and not is_infeasible and not self.mission.told.mission.is_free
@@ -391,9 +394,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The solution of longer duration serves as the initial guess when the method `speed_up`
-        solves for the original duration. The initial guess of this call is the solution that the
-        previous call found or, if there is none, the default guess of the model.
+        The solution serves as the initial guess when the method `speed_up` solves for the original
+        duration. This solve starts from the solution of the last call that succeeded. If there is
+        none, it starts from the default guess of the model.
 
         Returns
         -------
@@ -413,15 +416,14 @@ class Candidate:
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
-        """Solve the failed mission again, starting from a slower flight that was solved before.
+        """Solve the failed mission again, starting from its solution with a longer duration.
 
-        The slower flight is the mission's flight with a longer duration, which the method
-        `slow_down` has solved for.
+        The method `slow_down` finds the solution with a longer duration.
 
         Returns
         -------
         str or None
-            The solver's status of the new solve; None if `slow_down` has found no slower flight.
+            The solver's status of the new solve; None if `slow_down` has found no solution.
         """
         return None if self.slower is None else self._retried(self.slower)
 
@@ -444,9 +446,9 @@ class Candidate:
     def has_shorter(self) -> bool:
         """Return whether the mission's solve failed although its duration is long enough.
 
-        The mission's duration, or the greatest duration that the mission allows if the duration is
-        free, is compared with the least duration that the method `find_shortest` found. It is long
-        enough if it is not below that least duration. If none was found, the result is False.
+        The duration is long enough if it is at least the least duration that the method
+        `find_shortest` found. A mission of free duration is judged by the greatest duration that it
+        allows. The result is False if `find_shortest` found no solution.
         """
         longest = self.mission.told.mission.longest.value
         found = self.shortest
@@ -455,8 +457,7 @@ class Candidate:
     def from_shortest(self) -> str | None:
         """Solve the failed mission again, starting from the solution of least duration.
 
-        The method `find_shortest` computes that solution, which minimises the duration of the
-        mission instead of its energy.
+        The method `find_shortest` computes the solution of least duration.
 
         Returns
         -------
@@ -470,8 +471,7 @@ class Candidate:
     def _retried(self, trajectory: Trajectory) -> str:
         """Solve the failed mission again from a trajectory; keep the solution if this succeeds.
 
-        `trajectory` is the initial guess. The mission is solved first on the mesh of this
-        trajectory; this mesh is then refined.
+        `trajectory` is the initial guess. Its mesh is the first mesh of the solve.
 
         Returns
         -------
@@ -487,19 +487,20 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The attribute `failure` becomes the record of the reasons, and the status of the solution
-        becomes "infeasible" or "not converged". Without a diagnosis, nothing changes.
+        The reasons are stored in the attribute `failure`. The status of the solution becomes
+        "infeasible" or "not converged". Nothing changes without a diagnosis.
 
-        There are two reasons for the status "infeasible". The first is that the mission's duration
-        (the greatest one, if it is free) is below the least duration that `find_shortest` found.
-        The second is that the solution of the elastic problem, which minimises the violation of the
-        mission's limits, still violates a limit. The second reason does not count if
-        `find_shortest` found a flight that is no longer than the mission allows.
+        The mission is infeasible if its duration is below the least duration that `find_shortest`
+        found. A mission of free duration is judged by the greatest duration that it allows.
 
-        The status is "not converged" without such a reason. It is also "not converged" if, in
-        spite of the reason, the mission may be possible: because a flight on a coarse mesh kept all
-        limits, or because another route through a wind field may exist. The elastic problem cannot
-        exclude another route, because it is only solved near the best iterate of one failed solve.
+        The mission is also infeasible if the solution of the elastic problem still violates a
+        limit. The elastic problem minimises the violation of the mission's limits. This violation
+        proves nothing if `find_shortest` found a flight within the mission's duration.
+
+        In all other cases, the status is "not converged". It is also "not converged" if a flight on
+        a coarse mesh kept all limits, or if another route through a wind field may exist. The
+        elastic problem cannot exclude another route, because it is only solved near the best
+        iterate of one failed solve.
         """
         if self.diagnosis is None:
             return
@@ -518,9 +519,9 @@ class Candidate:
     def _doubt(self) -> str:
         """Return a reason to believe that the mission is possible although all solves failed.
 
-        The reason is a text for the user, empty if there is none. One reason is that a solve along
-        some route met all limits on a coarse mesh, and failed only on finer meshes. Another reason
-        is a wind field, in which a flight may exist along a route that was not tried.
+        The reason is a text for the user; it is empty if there is no reason. One reason is a route
+        along which a solve met all limits on a coarse mesh and failed only on finer meshes. Another
+        reason is a wind field: a flight may exist along a route that was not tried.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:
@@ -542,10 +543,9 @@ class Candidate:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
         `diagnosis` is the result of the elastic problem, in which all limits may be violated at a
-        penalty. It names the limits that the solution of this problem violates, and the limits that
-        are active there. For each of the first few of them, the elastic problem is solved again,
-        with this limit alone relaxed. If this makes the mission feasible, the limit is returned
-        together with the relaxation that is necessary.
+        penalty. It names the violated limits and the active limits. For each of the first few of
+        these limits, the elastic problem is solved again with only this limit relaxed. The result
+        has the limits for which this solve succeeds, each with the necessary relaxation.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
@@ -580,19 +580,18 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        The result is True if two conditions hold. The first is that the method `is_astray` returns
-        True: the solve converged, but the simulated flight did not confirm the plan, and the
-        battery is not the reason. The second is that the scenario requires an accuracy below the
-        highest level, which is named `proof`. At the highest level, limits are not made stricter,
-        because this costs energy.
+        The result is True if the method `is_astray` returns True: the simulated flight deviates
+        from the plan although the solve converged. The result is False if the scenario requires the
+        highest accuracy, named `proof`. This accuracy does not allow stricter limits, because they
+        cost energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
     def keep_limits(self) -> str | None:
         """Solve again with stricter values of the limits that the simulated flight breaks.
 
-        Such solves are repeated until the simulated flight of the new plan keeps the mission's own
-        limits, for a few solves at most. The last plan becomes the attribute `flown`.
+        The solves are repeated a few times at most, until the simulated flight keeps the mission's
+        own limits. The last plan becomes the attribute `flown`.
 
         Returns
         -------
@@ -619,11 +618,13 @@ class Candidate:
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
         """Return whether a plan with stricter limits costs less than the solution without them.
 
-        `plan` is the plan with stricter limits, `relaxed` the solution with the mission's own
-        limits. Stricter limits cannot reduce the energy of a global optimum. If the plan's energy
-        is nevertheless lower, by more than the solver's relative tolerance, `relaxed` is only a
-        local optimum, and the plan is near a better optimum. The search then continues from the
-        plan's solution.
+        `plan` is the plan with stricter limits. `relaxed` is the solution with the mission's own
+        limits. The plan costs less if its energy is lower by more than the solver's relative
+        tolerance.
+
+        Stricter limits cannot reduce the energy of a global optimum. If the plan costs less,
+        `relaxed` is therefore only a local optimum, and the search continues from the plan's
+        solution.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)
@@ -631,11 +632,10 @@ class Candidate:
     def is_astray(self) -> bool:
         """Return whether the simulated flight deviates from the plan although the solve converged.
 
-        The flight deviates if it does not confirm the plan within the requested tolerances, for
-        example because it misses the required final state, breaks a limit, or needs another energy
-        than the plan. A finer mesh may help in this case. The result is False if the battery cannot
-        supply the simulated flight, because a finer mesh does not help then. It is also False after
-        the time limit of the command.
+        A flight deviates, for example, if it misses the required final state, breaks a limit, or
+        needs another energy than the plan, by more than the requested tolerances. A finer mesh may
+        then help. The result is False if the battery cannot supply the simulated flight, because a
+        finer mesh does not help then. The result is also False after the time limit of the command.
         """
         plan = self.flown
         is_over = self.search.deadline.is_over
@@ -647,10 +647,10 @@ class Candidate:
     def tighten(self) -> str | None:
         """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
-        The tolerances are reduced because small errors of the mesh elements add up in a long flight
-        without feedback: the simulated flight may miss the goal although each element meets the
-        tolerance. The first mesh of the new solve is the mesh of the present solution, with
-        shorter elements where the simulated flight entered keep-out zones.
+        In a long flight without feedback, small errors of the mesh elements add up. The simulated
+        flight may miss the goal although each element meets the tolerance. The new solve begins on
+        the mesh of the present solution, with shorter elements where the simulated flight entered
+        keep-out zones.
 
         Returns
         -------
@@ -681,8 +681,8 @@ class Candidate:
     def lacks_power(self) -> bool:
         """Return whether the battery can supply the plan's mean power but not its peak power.
 
-        These are the powers of the plan's simulated flight. A gentler flight with a lower peak
-        power may then be possible.
+        The peak power is that of the plan's simulated flight. A gentler flight with a lower peak
+        power may be possible.
         """
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:

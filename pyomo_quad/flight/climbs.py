@@ -1,11 +1,10 @@
 """Routes raised over terrain, with climbs and descents on legs that are too low.
 
 A leg is the line between two corners of a route. The floor is the least height above the ground
-that the mission allows. A leg that is below the floor anywhere is raised in three straight parts.
-It climbs from its start, continues level at the greatest height that the floor requires along the
-leg, and descends to its end. Climb and descent are just steep enough to clear the floor. If they
-would meet only slightly above the level part, they are joined in a single corner and the level part
-is left out.
+that the mission allows. A leg that is below the floor anywhere is replaced by three straight parts:
+a climb, a level part and a descent. The level part is at the greatest height that the floor
+requires along the leg. Climb and descent are just steep enough to clear the floor. If the lines of
+climb and descent meet only slightly above the level part, the level part is left out.
 """
 
 from itertools import pairwise
@@ -28,8 +27,8 @@ _HIGHER = 0.1
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
     """Return a route raised where its legs are too low over terrain, with additional corners.
 
-    The route is returned unchanged if the raised route would enter a keep-out zone, and also if the
-    airspace has no terrain or no floor (least height above the ground).
+    The route is returned unchanged if the raised route would enter a keep-out zone. It is also
+    returned unchanged if the airspace has no terrain or no floor (least height above the ground).
 
     Parameters
     ----------
@@ -55,9 +54,9 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
     """Return the corners that must be inserted to raise one leg of a route over terrain.
 
-    `ends` has the two ends of the leg [m], shape (2, 3); `floor` is the least height above the
-    ground [m]. The result has no, one or two corners, shape (n, 3) [m], without the ends of the
-    leg.
+    `ends` has the two ends of the leg [m], shape (2, 3). `floor` is the least height above the
+    ground [m]. The result has no, one or two corners, shape (n, 3) [m]; the ends of the leg are not
+    included.
     """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf

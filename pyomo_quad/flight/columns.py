@@ -44,16 +44,17 @@ class Column:
     ----------
     name : str
         Heading of the column in the table.
-    component, index : str, int or None
-        Component of the model whose values are in the column, and its index other than time, such
-        as the number of a rotor.
+    component : str
+        Component of the model whose values are in the column.
+    index : int or None
+        Index of the component other than time, such as the number of a rotor.
     words, symbol, unit : str
         Name in words, symbol (LaTeX) and unit, as printed in figures.
     scale : float
         Factor from the stored value to the printed value.
     smallest_span : float
-        Least range of the axis in a figure [printed unit], so that rounding errors of a constant
-        quantity are not drawn over the full height.
+        Least range of the axis in a figure, in the printed unit. It keeps the rounding errors of a
+        constant quantity small in the figure.
     """
 
     name: str
@@ -179,10 +180,10 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 
 
 def column_of(variable: str) -> Column:
-    """Return the column for a variable of the model, or for the name of a column.
+    """Return the column with a given heading, or for a given variable of the model.
 
-    `variable` is the full name of the variable in the model, such as "rotors.omega[1]", or the
-    heading of the column in the table.
+    `variable` is the heading of the column, or the full name of the variable in the model, such as
+    "rotors.omega[1]".
     """
     return _COLUMN_OF[variable]
 
@@ -195,7 +196,7 @@ def flight_columns(
     Parameters
     ----------
     dynamics : Dynamics
-        Equations of the simulated vehicle; columns are omitted if the model lacks their component.
+        Equations of the simulated vehicle. A column is omitted if the model lacks its quantity.
     t : ndarray, shape (n,)
         Times [s].
     states : ndarray, shape (n, n_states)
@@ -208,9 +209,9 @@ def flight_columns(
     Returns
     -------
     dict
-        Name of the column -> values, shape (n,). The first column is the time; the others are body
-        and rotor motion, thrust, power, energy, wind, battery and motors, in the order in which the
-        function `columns_of` lists them.
+        Name of the column -> values, shape (n,). The first column is the time. The others are body
+        and rotor motion, thrust, power, energy, wind, battery and motors, in the order of the
+        function `columns_of`.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
     columns_here = columns_of(range(1, count + 1)) if count else COLUMNS
@@ -227,13 +228,13 @@ def flight_frame(
 ) -> pd.DataFrame:
     """Return the table of a flight, evaluated with the model's equations.
 
-    The first column is the time; the others are body and rotor motion, thrust, power, energy, wind,
-    battery and motors, as the function `flight_columns` computes them.
+    The first column is the time. The others are body and rotor motion, thrust, power, energy, wind,
+    battery and motors. The function `flight_columns` computes all columns.
 
     Parameters
     ----------
     dynamics : Dynamics
-        Equations of the simulated vehicle; columns are omitted if the model lacks their component.
+        Equations of the simulated vehicle. A column is omitted if the model lacks its quantity.
     t : ndarray, shape (n,)
         Times [s].
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
@@ -261,7 +262,8 @@ def flight_frame(
 def dataset_of(frame: pd.DataFrame) -> xr.Dataset:
     """Return the table of a flight as an xarray dataset with units and long names.
 
-    Each column of `frame` becomes a variable over the index of the table, as a rule the time.
+    Each column of the table `frame` becomes a variable. The index of the table, usually the time,
+    becomes the coordinate.
     """
     data = frame.to_xarray()
     for column in ALL_COLUMNS:

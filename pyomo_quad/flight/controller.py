@@ -1,13 +1,12 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
-The paper (Yacef et al.) cites such a controller without giving its equations; this module has a
+The paper (Yacef et al.) cites such a controller without giving its equations. This module has a
 controller of the same kind. For the control law, the proof by a Lyapunov function and the limits,
 see docs/theory/controller.md, eqs. (1) to (11).
 
-The control law is written once for two uses. Called with numbers, it returns numbers. Called with
-the symbolic variables of the collocation engine, it returns expressions that are compiled together
-with the equations of the vehicle. It therefore uses only arithmetic and NumPy's scalar functions,
-and no branch depends on a value.
+The control law can be called with numbers or with symbolic variables. With symbolic variables it
+returns expressions, which are compiled together with the equations of the vehicle. The law
+therefore uses only arithmetic and NumPy's scalar functions, and no branch depends on a value.
 """
 
 from collections.abc import Iterable, Sequence
@@ -75,8 +74,8 @@ class EquatedRates:
     ) -> Vector:
         """Return the second time derivatives of roll, pitch and yaw [rad/s^2].
 
-        In these kinematics they equal `body_accelerations`, the angular accelerations about the
-        body axes [rad/s^2].
+        They are `body_accelerations`, unchanged: the angular accelerations about the body axes
+        [rad/s^2].
         """
         return body_accelerations
 
@@ -85,8 +84,8 @@ class EquatedRates:
     ) -> Vector:
         """Return the angular accelerations about the body axes [rad/s^2].
 
-        In these kinematics they equal `angle_accelerations`, the second time derivatives of roll,
-        pitch and yaw [rad/s^2].
+        They are `angle_accelerations`, unchanged: the second time derivatives of roll, pitch and
+        yaw [rad/s^2].
         """
         return angle_accelerations
 
@@ -94,15 +93,15 @@ class EquatedRates:
 class EulerRates:
     """Exact kinematics of the Euler angles, for rates and for accelerations.
 
-    The rates follow from eq. (3.3) of Beard and McLain (2012), and the accelerations from the time
-    derivative of this equation.
+    The rates follow from eq. (3.3) of Beard and McLain (2012). The time derivative of eq. (3.3)
+    gives the accelerations.
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the rates of roll, pitch and yaw for given body rates, all in rad/s.
 
-        They are singular at a pitch of 90 degrees. `attitude` holds roll, pitch and yaw [rad],
-        `body_rates` the angular velocities about the body axes.
+        `attitude` holds roll, pitch and yaw [rad]. `body_rates` holds the angular velocities about
+        the body axes. At a pitch of 90 degrees, the rates of roll and yaw are infinite.
         """
         roll, pitch, _ = attitude
         p, q, r = body_rates
@@ -149,9 +148,9 @@ class EulerRates:
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
 
-        They are not zero, because the relation between angle rates and body rates depends on the
-        attitude. `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities
-        about the body axes [rad/s].
+        `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
+        body axes [rad/s]. The derivatives are not zero: as the attitude changes, the rates of the
+        angles change even at constant body rates.
         """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
@@ -177,14 +176,14 @@ _MIXER_ROWS = (
 
 
 def rotor_columns(dynamics: Dynamics) -> list[int]:
-    """Return the indices of the rotor speeds among the states, in the order of the controls.
+    """Return the index of each rotor's speed among the states.
 
-    The controls are the rotor accelerations.
+    The order is that of the controls, which are the accelerations of the rotors.
 
     Parameters
     ----------
     dynamics : Dynamics
-        Model with states ``rotors.omega[j]`` for controls ``rotors.alpha[j]``.
+        Model with a state ``rotors.omega[j]`` for each control ``rotors.alpha[j]``.
 
     Returns
     -------
@@ -201,8 +200,7 @@ def mixer_matrix(dynamics: Dynamics) -> FloatArray:
     Parameters
     ----------
     dynamics : Dynamics
-        The vehicle; its thrust and moments are evaluated with one rotor at a time turning at 1
-        rad/s.
+        The vehicle. Its thrust and moments are evaluated with only one rotor turning, at 1 rad/s.
 
     Returns
     -------
@@ -221,14 +219,14 @@ class Allocation:
     """Control allocation: rotor speeds for a commanded thrust and moments, within the limits.
 
     If the limits do not allow the whole command, roll and pitch moment have priority over thrust,
-    and thrust has priority over the yaw moment: a vehicle that keeps its roll and pitch can correct
-    errors of height and yaw later.
+    and thrust has priority over the yaw moment. The reason: a vehicle that keeps its roll and pitch
+    can correct errors of height and yaw later.
 
     Parameters
     ----------
     mixer : ndarray, shape (4, n_rotors)
-        Matrix that maps squared rotor speeds to thrust and to roll, pitch and yaw moment, as the
-        function `mixer_matrix` returns it.
+        Matrix from the function `mixer_matrix`, which maps squared rotor speeds to thrust and to
+        roll, pitch and yaw moment.
     limits : Limits
         Limits on rotor speeds, thrust and moments.
     """
@@ -276,13 +274,14 @@ class Allocation:
         return [np.sqrt(_clipped(square, low, high)) for square in turned]
 
     def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
-        """Return the largest roll and pitch moments that the rotor speed limits allow at a thrust.
+        """Return the largest roll and pitch moments that the limits allow at a given thrust.
+
+        The limits are those on rotor speeds and on moments.
 
         Parameters
         ----------
         thrust : float
-            Total thrust [N]. It is distributed equally over the rotors; a moment then changes the
-            rotor speeds from these equal values.
+            Total thrust [N]. Without a moment, all rotors give the same part of this thrust.
 
         Returns
         -------
@@ -301,9 +300,9 @@ def _steps_within(
 ) -> tuple[float, float]:
     """Return the largest steps, backward and forward, for which all values stay within limits.
 
-    A step s changes each value to ``value + s * component``, where ``component`` is the
-    corresponding component of `direction`. All changed values must lie between `low` and `high`.
-    The first result is negative or zero, the second is positive or zero.
+    A step s adds s times the vector `direction` to the vector `values`. All results must lie
+    between `low` and `high`. The backward step is negative or zero, the forward step is positive or
+    zero.
     """
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
@@ -344,8 +343,8 @@ def bend(magnitude: float, limit: float) -> float:
     Returns
     -------
     float
-        The number itself up to 80 % of the limit, beyond that a tanh that approaches the limit. The
-        first two derivatives are continuous.
+        The number itself up to 80 % of the limit. Beyond 80 %, a tanh of the number, which
+        approaches the limit. The result is twice continuously differentiable.
     """
     straight = _LINEAR_SHARE * limit
     rest = limit - straight
@@ -391,16 +390,19 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
     estimate : sequence of float
         Present estimate, inside the ball.
     rate : sequence of float
-        Rate from the adaptation law.
+        Rate of the estimate from the adaptation law.
     bound : float
         Radius of the ball.
 
     Returns
     -------
     list of float
-        The rate to apply, a continuous function of the arguments. For every true value of the
-        estimated quantity within 90 % of the radius, (estimate - true) . (result - rate) <= 0, so
-        that the projection never increases the Lyapunov function V of the controller.
+        The rate to apply, a continuous function of the arguments.
+
+    Notes
+    -----
+    The projection never increases the Lyapunov function V of the controller: if the true value of
+    the estimated quantity is within 90 % of the radius, (estimate - true) . (result - rate) <= 0.
     """
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
@@ -423,11 +425,13 @@ class BacksteppingLoop:
     The three axes are x, y and z, or roll, pitch and yaw. Law and proof: see
     docs/theory/controller.md, eqs. (1) to (7).
 
-    The loop has nine states: three quantities, each with one value per axis. In this order, the
-    quantities are xi_p, the effect of the actuators' lag on the tracking error; xi_v, the effect of
-    this lag on the error rate; and d_hat, the estimated disturbance, an acceleration. Errors are in
-    m for the position and in rad for the attitude; rates and accelerations are in the same unit per
-    s and per s^2.
+    The loop has nine states: three quantities with one value per axis each. The first quantity,
+    xi_p, is the effect of the actuators' lag on the tracking error. The next, xi_v, is the effect
+    of the lag on the rate of the error. The last, d_hat, is the estimated disturbance, an
+    acceleration.
+
+    Errors are in m for the position and in rad for the attitude. Rates are in m/s or rad/s,
+    accelerations in m/s^2 or rad/s^2.
     """
 
     outer: tuple[float, float, float]
@@ -452,9 +456,10 @@ class BacksteppingLoop:
         error_rate: Sequence[float],
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
-        """Return the initial states of the loop, for which the compensated errors are zero.
+        """Return the initial states of the loop.
 
-        Compensated errors are the tracking errors minus the effects of the actuators' lag.
+        The states that describe the actuators' lag are chosen so that the compensated errors are
+        zero. A compensated error is a tracking error minus the effect of the lag.
 
         Parameters
         ----------
@@ -535,8 +540,8 @@ class BacksteppingLoop:
 def _shrink(vector: Sequence[float], reach: float) -> float:
     """Return the factor 1 / sqrt(1 + |v|^2 / reach^2), which limits the length of a vector v.
 
-    `vector` is v, with three components. The product of factor and vector is always shorter than
-    the length `reach`, in the unit of the vector.
+    `vector` is v, with three components. The factor times v is always shorter than `reach`, a
+    length in the unit of v.
     """
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
@@ -600,10 +605,10 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. If
-    the scenario sets `baseline.gains.tilt_max`, this value is the largest tilt. Otherwise the
-    largest tilt is that at which the largest commanded thrust still balances the weight. In both
-    cases the result is at most the tilt that the limits on roll and pitch allow.
+    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. Its
+    value `baseline.gains.tilt_max` is the largest tilt, if it is set. Otherwise, the largest tilt
+    is the tilt at which the largest commanded thrust still balances the weight. The result never
+    exceeds the tilt that the limits on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -615,8 +620,8 @@ def followed_tilt(believed: Scenario) -> float:
 class ThrustEnvelope:
     """Set of accelerations of the vehicle that the limits of thrust and tilt allow.
 
-    The acceleration is zero in hover: the thrust divided by the mass is the acceleration plus the
-    gravitational acceleration upwards.
+    The acceleration is that of the motion, which is zero in hover. Thrust divided by mass is this
+    acceleration plus the gravitational acceleration, directed upwards.
 
     Parameters
     ----------
@@ -638,22 +643,22 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The acceleration of the plan is not reduced, because a plan keeps the limits of the vehicle.
-        Where the thrust or tilt limit of this set is less than the acceleration of the plan
-        requires, the limit is raised to the required value.
+        The planned acceleration itself is not reduced, because a plan keeps the limits of the
+        vehicle. If it needs more thrust or tilt than the limits of this set allow, these limits are
+        raised to what it needs.
 
         Parameters
         ----------
         acceleration : sequence of three floats
             Commanded acceleration of the vehicle, zero in hover [m/s^2].
         planned : sequence of three floats, optional
-            Acceleration of the plan, zero in hover [m/s^2]. It is also zero without a plan; the
-            result is then parallel to the command.
+            Planned acceleration, zero in hover and without a plan [m/s^2]. If it is zero, the
+            result is parallel to the command.
 
         Returns
         -------
         tuple of three floats
-            Acceleration of the plan plus the reduced difference, m/s^2.
+            Planned acceleration plus the reduced difference [m/s^2].
         """
         whole, own = (self._shortened(vector, planned) for vector in (acceleration, planned))
         x, y, z = (a + b - c for a, b, c in zip(planned, whole, own, strict=True))
@@ -669,9 +674,8 @@ class ThrustEnvelope:
         """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. `planned` is the acceleration of the plan [m/s^2]. Where the thrust or tilt limit
-        is less than the acceleration of the plan requires, the limit is raised to the required
-        value.
+        direction. `planned` is the planned acceleration [m/s^2]. If the planned acceleration needs
+        more thrust or tilt than the limits allow, the limits are raised to what it needs.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -790,7 +794,7 @@ class AdaptiveController:
             `MEASURED_STATES`.
         last : sequence of 22 floats, optional
             The controller's states at the end of the previous reference, if there was one. The
-            attitude command continues from them without a jump; only the position loop is reset.
+            attitude command then continues without a jump, and only the position loop is reset.
 
         Returns
         -------
@@ -821,13 +825,19 @@ class AdaptiveController:
         Returns
         -------
         list of `COMMAND_SIZE` floats
-            In order: the setpoint, that is position and yaw with their first two derivatives (12);
-            the accelerations along world x and y from which the commanded tilt is computed (2);
-            planned rates and accelerations of roll and pitch (4); planned accelerations along world
-            x, y and z (3); and the payload released so far [kg]. A reference that is a plan gives
-            all of them at time t. For any other reference, the values named planned are zero, and
-            the accelerations for the tilt are taken at a later time than t, because the vehicle
-            reaches a commanded tilt with a lag.
+            In this order:
+
+            - the setpoint: position and yaw with their first two derivatives (12 numbers);
+            - the accelerations along world x and y that determine the commanded tilt (2);
+            - the planned rates and accelerations of roll and pitch (4);
+            - the planned accelerations along world x, y and z (3);
+            - the payload released so far [kg] (1).
+
+        Notes
+        -----
+        If the reference is a plan, all values apply at time t. For any other reference, the planned
+        values are zero. The accelerations for the tilt then apply at a time later than t, because
+        the vehicle reaches a commanded tilt with a lag.
         """
         place, rate, acceleration, tilting = reference(t)
         left = self._released(t)
@@ -901,10 +911,9 @@ class AdaptiveController:
         return alpha, [*position_rates, *attitude_rates, *command_rates]
 
     def _most_rotor_acceleration(self, speed: float) -> float:
-        """Return the largest rotor acceleration at a given rotor speed [rad/s^2].
+        """Return the largest rotor acceleration at the rotor speed `speed` [rad/s], in rad/s^2.
 
-        Near the largest rotor speed, the lag of the motors reduces this limit. `speed` is the rotor
-        speed [rad/s].
+        Near the largest rotor speed, it is reduced because the motors respond with a lag.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
@@ -920,12 +929,25 @@ class AdaptiveController:
     ) -> tuple[list[float], list[float]]:
         """Return the accelerations of the commanded tilt, and the rates of the filter's states.
 
-        The command filter smooths the roll and pitch that point the thrust along ``force`` [N] at
-        yaw ``yaw`` [rad]. ``states`` holds its four states, the commanded roll and pitch and their
-        rates. ``command`` is the controller's input, which gives the planned rates and
-        accelerations of roll and pitch. The first result has the accelerations of the commanded
-        roll and pitch [rad/s^2], which the attitude loop follows; the second has the time
-        derivatives of the four states.
+        The command filter smooths the roll and pitch that point the thrust along a force.
+
+        Parameters
+        ----------
+        force : sequence of three floats
+            Force in world axes [N].
+        yaw : float
+            Present yaw [rad].
+        command : sequence of 22 floats
+            The controller's input, with the planned rates and accelerations of roll and pitch.
+        states : sequence of four floats
+            States of the filter: commanded roll and pitch [rad], and their rates [rad/s].
+
+        Returns
+        -------
+        accelerations : list of two floats
+            Accelerations of the commanded roll and pitch [rad/s^2].
+        rates : list of four floats
+            Time derivatives of the filter's states.
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -955,15 +977,28 @@ class AdaptiveController:
         achieved: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded moments [N m], and the derivatives of the attitude loop's states.
+        """Return the commanded moments, and the derivatives of the attitude loop's states.
 
-        `setpoint` gives the yaw to follow, `tilt_acceleration` the commanded accelerations of roll
-        and pitch [rad/s^2]. `body` holds position, velocity, attitude and body rates of the
-        vehicle, in the order of the names in `MEASURED_STATES`. `achieved` holds the roll, pitch
-        and yaw moments that the rotors produce at present [N m]. `states` holds the 22 states of
-        the controller, in the order of the names in `CONTROLLER_STATES`. The first result has the
-        commanded roll, pitch and yaw moments, the second the time derivatives of the nine states of
-        the attitude loop.
+        Parameters
+        ----------
+        setpoint : Setpoint
+            Setpoint of the reference, which has the yaw to follow.
+        tilt_acceleration : sequence of two floats
+            Accelerations of the commanded roll and pitch [rad/s^2].
+        body : sequence of twelve floats
+            Position, velocity, attitude and body rates of the vehicle, in the order of the names in
+            `MEASURED_STATES`.
+        achieved : sequence of three floats
+            Roll, pitch and yaw moments that the rotors produce at present [N m].
+        states : sequence of 22 floats
+            States of the controller, in the order of the names in `CONTROLLER_STATES`.
+
+        Returns
+        -------
+        moments : list of three floats
+            Commanded roll, pitch and yaw moments [N m].
+        rates : list of nine floats
+            Time derivatives of the attitude loop's states.
         """
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [
@@ -996,9 +1031,9 @@ def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
     Returns
     -------
     callable
-        Takes the controller's input, the vehicle's states and the controller's states; returns the
-        rotor accelerations [rad/s^2] and the time derivatives of the controller's states. The
-        method `AdaptiveController.command` computes the input from a reference path.
+        Takes the controller's input (see `AdaptiveController.command`), the vehicle's states and
+        the controller's states. Returns the rotor accelerations [rad/s^2] and the time derivatives
+        of the controller's states.
     """
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)

@@ -1,28 +1,26 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-A corridor is a route through the wind field that is cheap and far from other cheap routes.  The
-cost of a route is its energy plus its duration times the price of time [W].  If the duration of the
-mission is free, the mission states this price; if the duration is fixed, the price is chosen so
+A corridor is a route through the wind field that is cheap and lies apart from the other corridors.
+The cost of a route is its energy plus its duration times the price of time [W]. If the duration of
+the mission is free, the mission states this price. If the duration is fixed, the price is chosen so
 that the cheapest route takes this duration.
 
-Corridors are found on a grid of points about start and goal.  Straight lines join each point of the
-grid to 16 neighbours.  Lines through keep-out zones, and lines where the wind is unknown, are not
-used.  The cost of any other line is the cost of steady flight along the line.  At airspeed a,
-ground speed g and power P(a), this is (P(a) + price of time) / g per metre, where g is chosen to
-make the cost least.  The airspeed follows from g and from the wind at both ends and in the middle
-of the line; the power is tabulated once for all airspeeds.  If the field changes with time, the
-wind at a place is taken at the time when a flight at constant speed would pass the place.
+Corridors are found on a grid of points about start and goal. Straight lines join each point of the
+grid to 16 neighbours. Lines through keep-out zones, and lines where the wind is unknown, are not
+used. Any other line costs as much as steady flight along it. At airspeed a, ground speed g and
+power P(a), this cost is (P(a) + price of time) / g per metre. The ground speed is the one with the
+least cost. It determines the airspeed, together with the wind at both ends and in the middle of the
+line. The power is tabulated once for all airspeeds. If the field changes with time, the wind at a
+place is taken at the time when a flight at constant speed would pass the place.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
-every grid point.  The cheapest of these routes is the first corridor.  For the next corridor, only
-grid points whose distance from all routes found so far exceeds a given separation are considered;
-the corridor is the cheapest of the routes through these points.  The search ends when this route
-costs much more than the first corridor [1]_.  A route that is found in this way may make a needless
-detour through its grid point.  Therefore corners are removed where a straight line costs no more,
-and the route is discarded if it then coincides with an earlier corridor.
+every grid point. The cheapest of these routes is the first corridor. For the next corridor, grid
+points near any route found so far are excluded. The cheapest route through one of the remaining
+points is the next corridor. The search ends when this route costs much more than the first corridor
+[1]_. A route may make a needless detour through its grid point. Therefore corners are removed where
+a straight line costs no more. The route is discarded if it then coincides with an earlier corridor.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
-   ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
 """
 
 from collections.abc import Callable
@@ -65,10 +63,10 @@ _SHARES = (0.0, 0.5, 1.0)
 
 
 def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
-    """Return a function that gives the power of level flight in still air [W] from airspeeds [m/s].
+    """Return a function that gives the power of level flight in still air [W] for airspeeds [m/s].
 
-    The function interpolates a table. It is infinite above the largest tabulated airspeed at which
-    the vehicle can fly steadily.
+    The function interpolates a table of airspeeds at which the vehicle can fly steadily. Above the
+    largest of these airspeeds, its value is infinite.
     """
     speeds, powers = [], []
     near = None
@@ -124,8 +122,8 @@ class WindMap:
 class LineCosts:
     """Cost and time of steady flight along straight lines through a wind field.
 
-    A leg is the flight from one waypoint to the next. The search for cheap routes between the ends
-    of one leg needs the costs of many lines near this leg.
+    All lines are near one leg, the flight from one waypoint to the next. They are parts of possible
+    routes for this leg.
 
     Attributes
     ----------
@@ -138,8 +136,8 @@ class LineCosts:
     ends : ndarray, shape (2, 3)
         Start and end of the leg [m].
     duration : float
-        Duration of the leg, or a guess if the duration is free [s]. The wind at a place is taken at
-        the time when a flight of this duration at constant speed passes the place.
+        Duration of the leg, or a guess if the duration is free [s]. It determines the time at which
+        a flight at constant speed passes a place. The wind at the place is taken at this time.
     fastest : float
         Largest ground speed that the scenario allows [m/s], infinite without such a limit.
     """
@@ -161,12 +159,14 @@ class LineCosts:
         starts, stops : ndarray, shape (n, 3)
             Ends of the lines [m].
         price : float
-            Price of time [W], the weight of the time in the cost.
+            Price of time [W]. The cost is the energy plus the price times the time.
 
         Returns
         -------
-        costs, times : ndarray, shape (n,)
-            The cost is infinite for a line through a keep-out zone, or where the wind is unknown.
+        costs : ndarray, shape (n,)
+            Costs [J], infinite for a line through a keep-out zone or where the wind is unknown.
+        times : ndarray, shape (n,)
+            Times [s].
         """
         way = stops - starts
         lengths = np.linalg.norm(way, axis=1)
@@ -189,8 +189,8 @@ class LineCosts:
     def _passed(self, places: FloatArray) -> FloatArray:
         """Return the time at which a flight along the leg at constant speed passes n places [s].
 
-        A place beside the leg is passed when the flight is at the foot of the perpendicular.
-        `places` has shape (n, 3), m; the result has shape (n,).
+        A place beside the leg is passed when the flight is at the point of the leg nearest to the
+        place. `places` has shape (n, 3), m; the result has shape (n,).
         """
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
@@ -211,9 +211,9 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    `told` is the mission in its forecast wind. The result is True if the wind is a field that
-    differs between horizontal positions and acts through the airspeed (`wind.coupling = "drag"`).
-    Only then is it worth searching for corridors, cheap routes through the wind.
+    `told` is the mission in its forecast wind. The result is True for a wind field that differs
+    between horizontal positions and acts through the airspeed (`wind.coupling = "drag"`). Only such
+    a field may have corridors, cheap routes through the wind.
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -225,8 +225,8 @@ def estimate_of(journey: Journey) -> float | None:
     """Return the energy of steady flight along a journey [J]; None if it is unknown.
 
     `journey` is a sequence of routes, one for each leg of the mission from one waypoint to the
-    next. Its energy is the sum of the estimated energies of its routes, and unknown if a route has
-    no estimate.
+    next. Its energy is the sum of the estimated energies of its routes. It is unknown if a route
+    has no estimate.
     """
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
     return sum(known) if len(known) == len(journey) else None
@@ -238,8 +238,8 @@ def corridor_journeys(
     """Return journeys along cheap routes through a wind field, the cheapest first.
 
     A journey is a sequence of routes, one for each leg of the mission from waypoint to waypoint. A
-    leg may have several cheap routes that lie apart (corridors). The last journey returned is the
-    shortest one, which is always included because the grid may be too coarse to find it.
+    leg may have several cheap routes that lie apart (corridors). The last journey returned is
+    always `shortest`, because the grid of the search may be too coarse to find it.
 
     Parameters
     ----------
@@ -327,8 +327,8 @@ class Corridors:
     def energy_of(self, places: FloatArray) -> float | None:
         """Return the energy of steady flight along straight lines through places [J].
 
-        `places` has shape (n, 3), m. The result is None if the wind is unknown on a part of the
-        way, or if a keep-out zone blocks it.
+        `places` has shape (n, 3), m. The result is None if a keep-out zone blocks a line, or if the
+        wind is unknown on a part of it.
         """
         pieces = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]
@@ -345,11 +345,12 @@ def _grid(
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """Return the points of the search grid about a leg, and the lines that join them.
 
-    The search for cheap routes (corridors) goes from point to point along these lines. The grid is
-    a rectangle on the map that contains start and goal of the leg with a margin; the heights of its
-    points vary in proportion to the way along the leg. Each point of the grid is joined to its 16
-    neighbours, start and goal are joined to the points near them. Lines through keep-out zones are
-    included here; they get an infinite cost later.
+    The search for cheap routes (corridors) goes from point to point along the lines. On the map,
+    the grid is a rectangle that contains start and goal of the leg with a margin. The heights of
+    the points vary in proportion to the way along the leg.
+
+    Each point of the grid is joined to its 16 neighbours. Start and goal are joined to the grid
+    points near them. Lines through keep-out zones are included; they get an infinite cost later.
 
     Parameters
     ----------
@@ -363,8 +364,8 @@ def _grid(
     places : ndarray, shape (n, 3)
         Start, goal, and then the points of the grid [m]; n is their total number.
     first, last : ndarray of int, shape (n_lines,)
-        Row in `places` of the start and of the end of each line. Each line is included twice, once
-        for each direction of flight, because the wind makes their costs differ.
+        Row in `places` of the start and of the end of each line. Each line is included once for
+        each direction of flight, because the wind makes the costs of the two directions differ.
     """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
@@ -401,11 +402,19 @@ def _price_of(
     last: NDArray[np.intp],
     duration: float,
 ) -> float:
-    """Return the price of time [W] at which the cheapest route takes a given duration [s].
+    """Return the price of time [W] at which the cheapest route takes a given duration.
 
-    The price is the weight of the duration in the cost of a route. It is found by bisection.
-    `costs` gives the costs and times of straight lines; `places`, `first` and `last` are the points
-    and lines of the search grid, as `_grid` returns them. `duration` is the given duration [s].
+    The cost of a route is its energy plus the price times its duration. The price is found by
+    bisection.
+
+    Parameters
+    ----------
+    costs : LineCosts
+        Costs and times of straight lines.
+    places, first, last : ndarray
+        Points and lines of the search grid, as `_grid` returns them.
+    duration : float
+        The given duration [s].
     """
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover
@@ -419,10 +428,17 @@ def _price_of(
 class _Search:
     """Search for the cheapest routes from start to goal through each point of a grid.
 
-    `costs` gives the costs and times of straight lines; `places`, `first` and `last` are the points
-    and lines of the grid, as `_grid` returns them. The cost of a route is its energy plus the price
-    of time `price` [W] times its duration. Two runs of Dijkstra's algorithm, from the start and
-    from the goal, give the costs of all routes.
+    The cost of a route is its energy plus the price of time times its duration. Two runs of
+    Dijkstra's algorithm, from the start and from the goal, give the costs of all routes.
+
+    Parameters
+    ----------
+    costs : LineCosts
+        Costs and times of straight lines.
+    places, first, last : ndarray
+        Points and lines of the grid, as `_grid` returns them.
+    price : float
+        Price of time [W].
     """
 
     def __init__(
@@ -449,9 +465,10 @@ class _Search:
         return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
 
     def corridors(self, separation: float) -> list[FloatArray]:
-        """Return the corridors: cheap routes that are at least `separation` [m] apart.
+        """Return the corridors: cheap routes that lie apart, the cheapest first.
 
-        Each route is an array of corners, shape (n, 3), m; the cheapest route comes first.
+        Two routes lie apart if one of them has a corner at least `separation` [m] away from the
+        other. Each route is an array of its corners [m], shape (n, 3).
         """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]
@@ -474,7 +491,8 @@ class _Search:
     def _through(self, node: int) -> list[int]:
         """Return the indices of the points along the cheapest route through one grid point.
 
-        `node` is the index of this point. The result is empty if no route leads through it.
+        `node` is the index of the grid point. The result is empty if no route leads through the
+        grid point.
         """
         if not np.isfinite(self._ahead[node] + self._back[node]):
             return []
@@ -489,9 +507,10 @@ class _Search:
         return float(self._costs.of(places[:-1], places[1:], self._price)[0].sum())
 
     def _without_needless_corners(self, places: FloatArray) -> FloatArray:
-        """Return a route without the corners that can be cut by a straight line at no extra cost.
+        """Return a route without needless corners.
 
-        `places` has the corners of the route, shape (n, 3) [m].
+        Corners are needless if a straight line past them costs no more. `places` has the corners of
+        the route, shape (n, 3) [m].
         """
         kept = [0]
         while kept[-1] < len(places) - 1:
@@ -508,7 +527,8 @@ class _Search:
 def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
     """Return the distances of n places from a route of straight lines, shape (n,) [m].
 
-    `places` has shape (n, 3), `route` has the corners of the route, shape (m, 3), all in m.
+    `places` has the places, shape (n, 3). `route` has the corners of the route, shape (m, 3). Both
+    are in m.
     """
     starts, way = route[:-1], np.diff(route, axis=0)
     lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)

@@ -1,8 +1,9 @@
 """Covariance of the states of flights in turbulence, by linearisation of the closed loop.
 
-Vehicle, adaptive controller and the filters that model turbulence form one system of differential
-equations. It is linearised along the flight without gusts; see docs/theory/risk.md, eqs. (4) to
-(6). The errors of wind forecast, mass and power are constant states of this system.
+The closed loop is one system of differential equations for the vehicle, its adaptive controller and
+the filters that model turbulence. The system is linearised along the flight without gusts; see
+docs/theory/risk.md, eqs. (4) to (6). The errors of wind forecast, mass and power are constant
+inputs of the system.
 """
 
 from dataclasses import dataclass
@@ -97,8 +98,8 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     Returns
     -------
     Spread
-        Distribution at equally spaced times from start to end of the flight. The interval is at
-        most `NOISE_STEP`, the time [s] over which the noise of the turbulence is constant.
+        Distribution at equally spaced times from start to end of the flight. The spacing is at most
+        `NOISE_STEP` [s]. Over this time, the noise of the turbulence is constant.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -130,6 +131,9 @@ def propagated(
 ) -> tuple[FloatArray, FloatArray]:
     """Propagate the covariance of the states of a linear system over n steps.
 
+    Random numbers of unit variance act on the states. Some are drawn anew in each step, others are
+    drawn once.
+
     Parameters
     ----------
     start : ndarray, shape (n_x, n_x)
@@ -137,9 +141,9 @@ def propagated(
     transitions : ndarray, shape (n, n_x, n_x)
         Transition matrices of the steps.
     noise : ndarray, shape (n, n_x, n_noise)
-        Effect on the states of random numbers of unit variance that are independent in each step.
+        Effects on the states of the random numbers that are drawn anew in each step.
     constants : ndarray, shape (n, n_x, n_constants)
-        Effect on the states of random numbers of unit variance that are the same in all steps.
+        Effects on the states of the random numbers that are drawn once.
 
     Returns
     -------
@@ -167,7 +171,7 @@ def propagated(
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances, and covariances between successive times, without overflow.
 
-    Along a plan that the controller cannot follow, the covariance grows without limit. From the
+    If the controller cannot follow the plan, the covariance grows without limit. From the first
     time at which a standard deviation exceeds `_LOST`, a very large number, all standard deviations
     are set to `_LOST`. Every limit then counts as broken.
 
@@ -183,7 +187,8 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
     ndarray, shape (n, n_x, n_x)
         Covariance of the states without overflow.
     ndarray, shape (n - 1, n_x, n_x)
-        Covariance between successive times, zero where a standard deviation was set.
+        Covariance between successive times. It is zero if standard deviations were set at the later
+        time.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
@@ -199,10 +204,17 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
 class _MeanFlight:
     """Flight of a plan under feedback without gusts, and the closed loop linearised along it.
 
-    `scenario` is the mission with its turbulence and uncertain parameters, `plan` the plan that the
-    adaptive controller follows, and `planner` compiles the equations. The joint state of the closed
-    loop holds the states of vehicle and turbulence filters, the states of the controller, and the
-    energy.
+    The joint state of the closed loop holds the states of the vehicle, the turbulence filters and
+    the controller, and the energy.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission with its turbulence and uncertain parameters.
+    plan : Plan
+        Plan that the adaptive controller follows.
+    planner : Planner
+        Planner that compiles the equations.
     """
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
@@ -235,9 +247,9 @@ class _MeanFlight:
         """Return the joint states and the commands to the controller at n given times [s].
 
         A joint state holds the states of vehicle, turbulence filters and controller, and the
-        energy; the joint states have shape (n, n_joint). The commands are the controller's input,
-        computed from the plan, such as the position to follow. They have shape (n, n_command),
-        where n_command is the constant `COMMAND_SIZE`.
+        energy. The array of joint states has shape (n, n_joint). A command is the controller's
+        input, computed from the plan, such as the position to follow. The array of commands has
+        shape (n, n_command), where n_command is the constant `COMMAND_SIZE`.
         """
         flight = fly(
             dynamics=self.dynamics,
@@ -256,8 +268,8 @@ class _MeanFlight:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of the closed loop along the flight without gusts.
 
-        They are derivatives of the rates of the joint state, which holds the states of vehicle,
-        turbulence filters and controller, and the energy.
+        They are derivatives of the rates of the joint state. The joint state holds the states of
+        vehicle, turbulence filters and controller, and the energy.
 
         Parameters
         ----------
@@ -272,8 +284,8 @@ class _MeanFlight:
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         ndarray, shape (n, n_joint, n_noise + n_parameters)
-            Derivatives with respect to the white noise and to each uncertain parameter, the latter
-            per standard deviation of the parameter.
+            Derivatives with respect to the white noise, then to the uncertain parameters. The
+            derivatives with respect to a parameter are per standard deviation of the parameter.
         """
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
@@ -286,9 +298,8 @@ class _MeanFlight:
 
         The joint rates are the time derivatives of the joint state. `joint` and `commands` hold the
         joint states and the commands to the controller at the n times `t` [s], as the method
-        `flown` returns them.
-        The derivatives are central differences over one standard deviation of each parameter, and
-        are given per standard deviation. The result has shape (n, n_joint, n_parameters).
+        `flown` returns them. The result has shape (n, n_joint, n_parameters). The derivatives are
+        per standard deviation of each parameter, computed by central differences.
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
@@ -308,9 +319,21 @@ class _MeanFlight:
     ) -> FloatArray:
         """Return the time derivatives of the vehicle's states for changed parameters.
 
-        `change` maps the full name of a parameter to the size of its change, in the parameter's
-        unit; `side`, 1 or -1, is the sign of all changes. `states` and `controls` are the vehicle's
-        states and controls at the n times `t` [s]; the result has shape (n, n_states).
+        Parameters
+        ----------
+        change : dict
+            Full name of a parameter -> size of its change, in the parameter's unit.
+        side : float
+            Sign of all changes, 1 or -1.
+        t : ndarray, shape (n,)
+            Times [s].
+        states, controls : ndarray, shapes (n, n_states), (n, n_controls)
+            The vehicle's states and controls at these times.
+
+        Returns
+        -------
+        ndarray, shape (n, n_states)
+            Time derivatives of the states.
         """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)

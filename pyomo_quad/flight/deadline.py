@@ -26,9 +26,9 @@ class TimeIsUpError(SolveError):
 class _Watch:
     """Clock that measures the processor time of a thread against a time limit.
 
-    The clock also works in a process that was forked after the clock was started: there, it
-    continues with the time that was left at the fork. The attribute `is_over` states whether the
-    limit had passed at the last call of the method `look`.
+    If the process forks, the clock continues in the forked process with the time left at the fork.
+    The attribute `is_over` states whether the limit had passed at the last call of the method
+    `look`.
     """
 
     limit_s: float
@@ -45,8 +45,8 @@ class _Watch:
     def shortened(self, limit_s: float) -> Self:
         """Return a copy of this clock whose limit passes at most ``limit_s`` seconds from now.
 
-        The seconds are processor time. If this clock's own limit passes earlier, the copy keeps
-        that limit.
+        The seconds are processor time. The copy keeps the limit of this clock if this limit passes
+        earlier.
         """
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
@@ -68,8 +68,8 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
-    A command has a single time limit. A deadline inside the block of another deadline therefore
-    uses the limit of the outer deadline, not that of `scenario`.
+    A command has a single time limit. Inside the block of another deadline, the limit of the outer
+    deadline applies, and the limit of `scenario` is ignored.
 
     Parameters
     ----------
@@ -78,8 +78,7 @@ class Deadline:
     progress : callable, optional
         Progress callback of the caller, which may stop a solve earlier.
     longest_s : float, optional
-        Longest time for this block [s of processor time], if less than the time left until the
-        limit.
+        Longest time for this block [s of processor time]. The time limit may end the block earlier.
     """
 
     def __init__(
@@ -103,8 +102,9 @@ class Deadline:
     def __call__(self, iteration: Iteration) -> bool:
         """Return whether an Ipopt solve may continue; called at each iteration.
 
-        `iteration` describes the present iteration and is passed to the caller's progress callback.
-        The result is False after the time limit, or if that callback returns False.
+        `iteration` describes the present iteration. The result is False after the time limit.
+        Before the limit, `iteration` is passed to the caller's progress callback, and the result is
+        False if the callback returns False.
         """
         if self._watch.look():
             return False
@@ -124,7 +124,7 @@ class Deadline:
 def keep_time() -> None:
     """Raise an error if the time limit of the enclosing `Deadline` has passed.
 
-    Simulations call this at each evaluation of their right-hand side.
+    Simulations call this function at each evaluation of their differential equations.
 
     Raises
     ------

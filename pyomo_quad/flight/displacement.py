@@ -1,9 +1,9 @@
 """Displacements of a path on a coarse mesh that lead its simulated flight out of keep-out zones.
 
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
-zones. A vehicle that follows the path under feedback, as the module `flight.tracking` simulates it,
-then enters the zones too. To avoid this, the path is displaced outwards during the time that the
-simulated flight spends inside a zone, and the flight is simulated again. Each attempt costs one
+zones. A vehicle that follows the path under feedback then enters the zones too; the module
+`flight.tracking` simulates such a flight. For the time that the simulated flight spends inside a
+zone, the path is displaced outwards, and the flight is simulated again. Each attempt costs one
 simulated flight, and no solve. See docs/theory/tracking.md, eq. (8).
 
 With the displacements, a coarse solution may become a usable plan: a plan that simulation confirms,
@@ -99,7 +99,8 @@ def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray
 def limits_along(dynamics: Dynamics, flown: Flown) -> list[LimitValues]:
     """Return values and bounds of each limited quantity at the samples of a flight.
 
-    `dynamics` has the equations of the vehicle with the limits, `flown` the samples of the flight.
+    `dynamics` has the equations of the vehicle and the limits. `flown` has the samples of the
+    flight.
     """
     return dynamics.limits_of(dynamics.solved(flown.t, flown.states, flown.controls))
 
@@ -122,9 +123,9 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
     Returns
     -------
     tuple of Push
-        One push for each time span that the flight spends inside a zone. The push lasts for this
-        span. Its vector is the shortest way out of the zone from the place where the flight is
-        deepest inside, made a little longer.
+        One push for each time span that the flight spends inside a zone. The push lasts as long as
+        this time span. It leads along the shortest way out of the zone, from the place where the
+        flight is deepest inside, and a little further.
     """
     found: list[Push] = []
     for name, depth in _depths(limits).items():
@@ -143,9 +144,9 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
 def moves_in_hovers(flown: Flown, limits: Sequence[LimitValues], allowed: float) -> bool:
     """Return whether a flight exceeds the limit on the speed during hovers at waypoints.
 
-    `flown` has the samples of the flight, and `limits` the limited quantities at these samples (see
-    `limits_along`). `allowed` is the tolerated violation of the limit, relative to the larger of 1
-    and the limit.
+    `flown` has the samples of the flight. `limits` has the limited quantities at these samples (see
+    `limits_along`). `allowed` is the tolerated violation, relative to the larger of 1 and the
+    limit.
     """
     hovers = [limit for limit in limits if limit.name.startswith(_HOVER)]
     return any(limit.worst(slice(None), flown.t).relative > allowed for limit in hovers)
@@ -154,10 +155,11 @@ def moves_in_hovers(flown: Flown, limits: Sequence[LimitValues], allowed: float)
 def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
     """Return how much the samples of a flight violate each limit of the airspace.
 
-    These limits (path constraints) are keep-out zones and the other limits on the position.
-    `limits` has all limited quantities at the n samples (see `limits_along`). The result maps the
-    name of each limit of the airspace to its violations, shape (n,), in the unit of the limit. For
-    a zone they are the depths of the samples: positive inside the zone, negative outside.
+    The limits of the airspace are keep-out zones and other limits on the position. `limits` has all
+    limited quantities at the n samples (see `limits_along`).
+
+    The result maps the name of each limit of the airspace to its violations, shape (n,), in the
+    unit of the limit. The violation of a zone is the depth inside the zone, and negative outside.
     """
     return {
         limit.name: np.fmax(limit.lower - limit.values, limit.values - limit.upper)
@@ -169,10 +171,19 @@ def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
 def _slope(dynamics: Dynamics, flown: Flown, sample: int, name: str) -> FloatArray:
     """Return the gradient of the depth inside a zone with respect to x, y and z, shape (3,).
 
-    The gradient points deeper into the zone. `dynamics` has the equations of the vehicle and a path
-    constraint for each zone; `name` is the name of the constraint of the zone in question. `sample`
-    is the index of the sample of the flight `flown` at which the gradient is taken, by central
-    differences. The result has the unit of the constraint per metre.
+    The gradient points deeper into the zone. Its unit is the unit of the zone's constraint per
+    metre. It is computed by central differences.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the vehicle, with a path constraint for each zone.
+    flown : Flown
+        Samples of a flight.
+    sample : int
+        Index of the sample at whose place the gradient is taken.
+    name : str
+        Name of the zone's constraint.
     """
     columns = [dynamics.state_names.index(state) for state in POSITION_STATES]
     rows = np.full(2 * len(columns), sample)

@@ -2,13 +2,12 @@
 
 The control law and the equations of the vehicle are the same as for a single flight. Only the
 integration differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
-`LONGEST_STEP_S`, the time over which the noise of the turbulence is constant, and short compared
-with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
+`LONGEST_STEP_S`, the time over which the noise of the turbulence is constant. It is also short
+compared with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
 integration.
 
-Every flight is assessed in the same way as a single flight. The assessment states whether the
-flight keeps the limits of the model and the limits at the waypoints, and whether it arrives at the
-goal.
+Every flight is assessed like a single flight: whether it keeps the limits of the model and the
+limits at the waypoints, and whether it arrives at the goal.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -72,19 +71,18 @@ NOT_FED = "power or charge of the pack"
 class Draws:
     """Random parameters, noise and initial states of many simulated flights.
 
-    The mappings have the full names of parameters or states as keys.
-
     Attributes
     ----------
     count : int
         Number n of flights.
     numbers : mapping to ndarray, shape (n,)
-        Parameters of the vehicle and the air that are constant during a flight.
+        Full name of a parameter -> its values. These parameters of the vehicle and the air are
+        constant during a flight.
     noise : mapping to ndarray, shape (n_steps, n)
-        Parameters that change during a flight, such as the noise of the turbulence. Each value
-        applies for one time step of `LONGEST_STEP_S` [s], the longest step of the integration.
+        Full name of a parameter -> its values. These parameters change during a flight, such as the
+        noise of the turbulence. Each value applies for `LONGEST_STEP_S` [s].
     start : mapping to ndarray, shape (n,)
-        States at take-off.
+        Full name of a state -> its values at take-off.
     """
 
     count: int
@@ -93,7 +91,7 @@ class Draws:
     start: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def part(self, chosen: slice) -> "Draws":
-        """Return the random numbers of some of the flights, which the slice `chosen` selects."""
+        """Return the random numbers of the flights that the slice `chosen` selects."""
         return Draws(
             count=len(range(self.count)[chosen]),
             numbers={name: values[chosen] for name, values in self.numbers.items()},
@@ -111,15 +109,14 @@ class Ending:
     energy_J, charge_used_percent : float
         Energy spent, and charge drawn in per cent of the battery's capacity.
     miss_m, end_speed_m_per_s : float
-        Distance from the goal and speed at the end.
+        Distance from the goal at the end, and speed at the end.
     largest_deviation_m, peak_tilt_rad : float
         Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
         Name of each broken limit in words -> largest violation, relative to the larger of 1 and the
-        limit. For two kinds of limits the value is a different one: for limits on the arrival, it
-        is the distance [m] or the speed [m/s] at the end; for limits of the battery, it is the
-        fraction of power or charge that is missing. The mapping is empty if the flight arrived and
-        kept every limit.
+        limit. For a limit on the arrival, the value is the distance [m] or the speed [m/s] at the
+        end. For a limit of the battery, the value is the fraction of power or charge that is
+        missing. The mapping is empty if the flight arrived and kept every limit.
     """
 
     energy_J: float
@@ -135,7 +132,7 @@ class Ending:
         """Whether the simulated flight reached its goal and broke no limit.
 
         The limits are those of the model, of the waypoints, of the arrival (distance from the goal
-        and speed at the end) and of the battery. The attribute `broken` has every broken limit.
+        and speed at the end) and of the battery.
         """
         return not self.broken
 
@@ -143,8 +140,8 @@ class Ending:
     def has_arrived(self) -> bool:
         """Whether the simulated flight ended at its goal and at rest.
 
-        That is so if, at the end, the distance from the goal is at most the constant
-        `ARRIVAL_DISTANCE_M` [m] and the speed at most the constant `ARRIVAL_SPEED_M_PER_S` [m/s].
+        The distance from the goal may be at most `ARRIVAL_DISTANCE_M` [m], and the speed at most
+        `ARRIVAL_SPEED_M_PER_S` [m/s].
         """
         return NOT_THERE not in self.broken and NOT_AT_REST not in self.broken
 
@@ -159,10 +156,10 @@ class FlownOften:
         Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
         Name of a quantity -> its values over time for each of n flights. The quantities are
-        position, speed, tilt, energy and distance from the reference; the constant `TRACKS` holds
+        position, speed, tilt, energy and distance from the reference. The constant `TRACKS` has
         their names.
     endings : tuple of Ending
-        Energy, arrival and broken limits of each flight.
+        Energy, arrival, deviations and broken limits of each flight.
     """
 
     t: FloatArray
@@ -253,9 +250,9 @@ class EnsembleSimulation:
     def _fastest_rate(self) -> float:
         """Return the decay rate of the fastest mode of the closed loop at take-off [1/s].
 
-        The integration steps are short enough to be stable at this rate. The rate does not follow
-        from the gains of the controller: the reaction of the body to accelerating rotors makes the
-        yaw loop several times faster than any gain.
+        The integration steps must be short enough to be stable at this rate. The gains of the
+        controller do not determine the rate, because accelerating rotors react on the body. This
+        reaction makes the yaw loop several times faster than any gain.
         """
         loop = ClosedLoop(
             self._dynamics,
@@ -306,9 +303,16 @@ class EnsembleSimulation:
     ) -> Iterator[Ending]:
         """Yield the result of each of n flights: energy, arrival, deviations, broken limits.
 
-        `flown` has the samples of the simulated flights, `draws` the random numbers of each flight.
-        `off` has the largest distance of each flight from the reference [m], `tilt` the largest
-        tilt of each flight [rad], both of shape (n,).
+        Parameters
+        ----------
+        flown : SteppedFlights
+            Samples of the simulated flights.
+        draws : Draws
+            Random numbers of each flight.
+        off : ndarray, shape (n,)
+            Largest distance of each flight from the reference [m].
+        tilt : ndarray, shape (n,)
+            Largest tilt of each flight [rad].
         """
         count, samples = draws.count, len(flown.t)
         # Reorder the arrays: one flight after the other, each with all its samples.
@@ -369,7 +373,7 @@ def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
 
     They include the times at which the noise of the turbulence changes, and the times at which the
     mission reaches and leaves its waypoints. `fastest_rate` is the decay rate of the fastest mode
-    of the closed loop [1/s]; the steps are short enough to be stable for this mode.
+    of the closed loop [1/s]. The steps are short enough to be stable for this mode.
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

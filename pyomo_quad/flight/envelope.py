@@ -35,8 +35,9 @@ def departures(plan: "Plan") -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Messages such as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s": the largest value in
-        the plan, the bound of the validated range, and the time spent beyond this bound.
+        Messages such as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s". The numbers are the
+        largest value in the plan, the bound of the validated range, and the time spent beyond this
+        bound.
     """
     return tuple(
         departures_of(
@@ -49,9 +50,9 @@ def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterat
     """Yield a message for each quantity of a flight that is outside its vehicle's validated range.
 
     The validated range of airspeed, climb, descent and payload is the range that measured flights
-    cover; `scenario` gives this range, the payload and the wind. `flown` is the trajectory table of
-    the flight, as a mapping from column names to the values over time. Without columns for velocity
-    and wind, only the payload is checked.
+    cover. `scenario` gives this range, the payload and the wind. `flown` is the table of the
+    flight: column name -> values over time. If the table has no columns for velocity and wind, only
+    the payload is checked.
     """
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:

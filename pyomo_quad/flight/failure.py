@@ -19,15 +19,14 @@ class Failure:
     Attributes
     ----------
     longest : NamedDuration
-        The duration that the mission prescribes, or the greatest duration that it allows if the
-        duration is free, with the name of the scenario field that holds the value.
+        The duration that the mission prescribes. If the duration is free, the greatest duration
+        that the mission allows. The value comes with the name of its scenario field.
     shortest_duration_s : float or None
-        The least duration in which the mission can be flown within its limits, found by a solve
-        that minimises the duration; None if there was no such solve or it failed.
+        The least duration in which the mission can be flown within its limits. A solve that
+        minimises the duration finds it. None if there was no such solve or it failed.
     diagnosis : Diagnosis
-        Diagnosis of the failed solve: the equations with the largest residuals, the active limits,
-        and the components of the Pyomo model whose limits must be relaxed, all of them together, to
-        make the mission feasible.
+        Diagnosis of the failed solve. It has the equations with the largest residuals, the active
+        limits, and the limits that must all be relaxed together to make the mission feasible.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     doubt : str
@@ -45,9 +44,9 @@ class Failure:
     def is_too_short(self) -> bool:
         """Whether the mission's duration is shorter than the least possible duration.
 
-        If the mission's duration is free, the greatest duration that the mission allows is compared
-        instead. The least possible duration is the attribute `shortest_duration_s`; the result is
-        False if this attribute is None.
+        A mission of free duration is judged by the greatest duration that it allows. The least
+        possible duration is the attribute `shortest_duration_s`. The result is False if this
+        attribute is None.
         """
         return (
             self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
@@ -56,8 +55,8 @@ class Failure:
     def causes(self) -> Iterator[str]:
         """Yield one sentence for each cause of the failure and each remedy, the simplest first.
 
-        If the attribute `doubt` gives a reason to believe that the mission is possible, this reason
-        is the only sentence, because causes and remedies assume that the mission is impossible.
+        If the attribute `doubt` is not empty, it is the only sentence: causes and remedies assume
+        that the mission is impossible, and `doubt` is a reason to believe that it is possible.
         """
         if self.doubt:
             yield self.doubt

@@ -64,14 +64,14 @@ class Flown:
 
 @dataclass(frozen=True, kw_only=True)
 class Resolve:
-    """Record of one re-planning solve: a solve for a new plan during a simulated flight.
+    """Record of one solve for a new plan during a simulated flight.
 
     Attributes
     ----------
     t : float
         Time in flight at which the solve began [s].
     arrived_at : float
-        Time in flight at which the plan that resulted from this solve was available [s].
+        Time in flight at which the new plan was available [s].
     """
 
     t: float
@@ -93,40 +93,40 @@ class Flight(Summarised):
     name : str
         Name in comparisons, such as "optimal", "adaptive/quintic" or "open_loop/plan".
     frame : DataFrame
-        Table of the flight, one row per time; the function `columns.flight_columns` makes its
+        Table of the flight, one row per time. The function `columns.flight_columns` makes its
         columns.
     energy_J : float
-        Energy spent, integrated together with the equations of motion.
+        Energy spent [J], integrated together with the equations of motion.
     duration_s : float
-        Time from the first to the last sample.
+        Time from the first to the last sample [s].
     terminal_miss : mapping
-        State name to final value minus required value, in the state's unit.
+        State name -> final value minus required value, in the state's unit.
     terminal_miss_m : float
-        Distance between final and required position.
+        Distance between final and required position [m].
     max_violation : float
         Largest violation of any limit, relative to the larger of 1 and the limit.
     worst_constraint : str
         Name of the limit with the largest violation.
     is_verified : bool
-        Whether a second, independent integration confirmed the flight, and the battery supplies the
-        required power throughout.
+        Whether a second, independent integration confirmed the flight and the battery can supply
+        the required power throughout.
     wall_s : float
-        Computing time [s]. For the flight of a plan (the method `Plan.flight`) it is the time to
-        compile, solve and verify the plan; for any other flight, the time of the simulation.
+        Computing time of the simulation [s]. For the flight of a plan (the method `Plan.flight`),
+        the time to compile, solve and verify the plan.
     owed_energy_J : float
-        Energy needed to reach the required final state from the flight's final state [J], estimated
-        from the costates of a plan. It is NaN without a plan, or if the plan was made for another
-        wind (the forecast), because its costates are then those of another problem.
+        Energy needed to get from the flight's final state to the required final state [J]. It is
+        estimated from the costates of a plan. It is NaN without a plan, and for a plan that was
+        made for a forecast wind, because costates for one wind do not hold in another.
     broken_limits : tuple of str
         Every limit that the flight violates by more than the tolerance, in words with the amount.
         The limits of the model (path inequalities and bounds) come first, in order of decreasing
         relative violation. The waypoints that the flight missed follow.
     resolves : tuple of Resolve
-        Record of each re-planning solve during the flight.
+        Record of each solve for a new plan during the flight.
     doubt : str
-        Reasons why a simulated flight is not verified, each with the value found and the value
-        allowed: the two integrations differ too much, or the battery lacks power, charge or
-        voltage. Empty if there is no such reason.
+        Reasons why a simulated flight is not verified; empty without a reason. The two integrations
+        may differ too much, or the battery may lack power, charge or voltage. Each reason has the
+        value found and the value allowed.
     """
 
     name: str
@@ -162,15 +162,15 @@ class Flight(Summarised):
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
         """Return the flight with an estimate of the energy still needed at its end.
 
-        This is the energy needed to reach the required final state from the flight's final state.
-        It is estimated to first order, with the costates of a plan. The estimate is stored in the
-        attribute `owed_energy_J` of the returned flight.
+        The energy still needed is the energy to get from the flight's final state to the required
+        final state. The estimate is of first order, from the costates of a plan. It is stored in
+        the attribute `owed_energy_J` of the returned flight.
 
         Parameters
         ----------
         end_prices : mapping
-            State name -> costate at the end of the plan, J per unit of the state; if empty, the
-            estimate is NaN.
+            State name -> costate at the end of the plan, in J per unit of the state. If the mapping
+            is empty, the estimate is NaN.
         """
         owed = sum(price * self.terminal_miss.get(name, 0.0) for name, price in end_prices.items())
         return replace(self, owed_energy_J=owed if end_prices else nan)
