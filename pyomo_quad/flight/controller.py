@@ -644,8 +644,8 @@ class ThrustEnvelope:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
         The planned acceleration itself is not reduced, because a plan keeps the limits of the
-        vehicle. If it needs more thrust or tilt than the limits of this set allow, these limits are
-        raised to what it needs.
+        vehicle. If a plan needs more thrust or tilt than the limits of this set allow, these limits
+        are raised to what the plan needs.
 
         Parameters
         ----------
@@ -913,7 +913,7 @@ class AdaptiveController:
     def _most_rotor_acceleration(self, speed: float) -> float:
         """Return the largest rotor acceleration at the rotor speed `speed` [rad/s], in rad/s^2.
 
-        Near the largest rotor speed, it is reduced because the motors respond with a lag.
+        Near the largest rotor speed, the acceleration is reduced because the motors respond with a lag.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:

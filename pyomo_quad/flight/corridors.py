@@ -21,6 +21,7 @@ points is the next corridor. The search ends when this route costs much more tha
 a straight line costs no more. The route is discarded if it then coincides with an earlier corridor.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
+   ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
 """
 
 from collections.abc import Callable
