@@ -913,7 +913,7 @@ class AdaptiveController:
     def _most_rotor_acceleration(self, speed: float) -> float:
         """Return the largest rotor acceleration at the rotor speed `speed` [rad/s], in rad/s^2.
 
-        Near the largest rotor speed, the acceleration is reduced because the motors respond with a lag.
+        Near the largest rotor speed, the lag of the motors reduces this acceleration.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
