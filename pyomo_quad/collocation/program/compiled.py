@@ -230,11 +230,10 @@ class SimpleBound:
     slope : float
         Coefficient of the variable in the constraint; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
-        Lower and upper bound of the variable. For a constraint on the expression ``slope * variable
-        + offset``, the offset has been subtracted from the constraint's bounds, and the differences
-        have been divided by the slope; a negative slope exchanges the lower and the upper bound.
-        The bounds are expressions of the parameters and, if they hold over time, of the fraction of
-        the horizon.
+        Lower and upper bound of the variable, as expressions of the parameters. A bound over time
+        may also depend on the fraction of the horizon. If a constraint bounds the expression
+        ``slope * variable + offset``, the bounds of the variable are those of the constraint, minus
+        the offset, divided by the slope. A negative slope exchanges lower and upper bound.
     """
 
     name: str
@@ -245,9 +244,9 @@ class SimpleBound:
 
 
 def _own_limits(slot: Slot) -> SimpleBound:
-    """Return a Pyomo variable's own bounds, without those from constraints, as a `SimpleBound`.
+    """Return the bounds declared with a Pyomo variable, as a `SimpleBound`.
 
-    `slot` is the variable.
+    `slot` is the variable. Bounds that constraints impose on the variable are not included.
     """
     return SimpleBound(
         name=slot.name, variable=slot.name, slope=1.0, lower=slot.lower, upper=slot.upper
@@ -273,8 +272,10 @@ def split_simple_bounds(
 
     Returns
     -------
-    tuple, tuple of SimpleBound
-        The other constraints, and the bounds.
+    tuple of PathEquation or PointCondition
+        The constraints that are not bounds of a single variable.
+    tuple of SimpleBound
+        The bounds that replace the remaining constraints.
     """
     others, bounds = [], []
     for relation in relations:
@@ -291,11 +292,20 @@ def _as_simple_bound(
 ) -> SimpleBound | None:
     """Return a constraint on a single variable as a `SimpleBound`, else None.
 
-    `relation` is the constraint, over time or at declared times. `variables` are all variable
-    symbols by name, and `candidates` the names of the variables that are unknowns of the nonlinear
-    program. The result is None if the constraint contains several variables, is nonlinear in its
-    variable, or is an equality over time, or if its variable is no unknown of the nonlinear
-    program.
+    Parameters
+    ----------
+    relation : PathEquation or PointCondition
+        Constraint over time, or at declared times.
+    variables : dict
+        All variable symbols by name.
+    candidates : frozenset of str
+        Names of the variables that are unknowns of the nonlinear program.
+
+    Returns
+    -------
+    SimpleBound or None
+        None for an equality over time, and for a constraint that contains several variables. None
+        also if the variable enters nonlinearly, or is no unknown of the nonlinear program.
     """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
@@ -321,9 +331,9 @@ IndexArray = NDArray[np.intp]
 class DerivedFunctions:
     """CasADi functions of a vector of expressions, its sparse Jacobian, and a weighted Hessian.
 
-    The inputs of the functions are columns of numbers: the variables, with respect to which the
-    expressions are differentiated, and the data, which are not differentiated (parameters, and for
-    equations over time the fraction of the horizon).
+    The inputs of the functions are columns of numbers. The first input is the variables: all
+    derivatives are taken with respect to the variables. The second input is the data: the
+    parameters and, for equations over time, the fraction of the horizon.
 
     Attributes
     ----------
@@ -382,20 +392,20 @@ class CompiledModel:
     """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
     The data of a point are the fraction of the horizon, the time-dependent parameters and the
-    constant parameters. A condition is a constraint among values at declared times (members of the
-    continuous set), static variables (variables without time) and integrals.
+    constant parameters. A static variable is a variable without time. A condition is a constraint
+    among values at declared times (members of the continuous set), static variables and integrals.
+    Rates are derivatives of the states with respect to the fraction of the horizon.
 
     Attributes
     ----------
     declared : Declarations
         Variables, equations, conditions and objective in CasADi symbols.
     path : DerivedFunctions
-        Path equations, then integrands, as functions of the rates (derivatives of the states with
-        respect to the fraction of the horizon), states, algebraic and static variables of a point,
-        and of the point's data.
+        Path equations, then integrands. The inputs are the rates, states, algebraic and static
+        variables of a point, and the data of the point.
     points : DerivedFunctions
-        Conditions, then the objective, as functions of values at declared times, static variables
-        and integrals, and of the parameters.
+        Conditions, then the objective. The inputs are the values at declared times, static
+        variables and integrals, and the parameters.
     path_bounds : casadi.Function
         Data of a point -> lower and upper bounds of the path equations.
     limits : tuple of SimpleBound
@@ -409,11 +419,11 @@ class CompiledModel:
     condition_limits, static_limits : casadi.Function
         Parameters -> lower and upper bounds of the conditions, and of the static variables.
     times : casadi.Function
-        (static variables, parameters) -> physical times of the start of the horizon, of its free
-        interior times (times that the solve determines), and of its end.
+        (static variables, parameters) -> physical times: the start of the horizon, the free
+        interior times (interior times that the solve determines), and the end.
     row_integrals : tuple of int
         Positions, among all integrals of the model, of the integrals that enter the objective
-        directly, without a static variable that equals them.
+        directly: no static variable stands for them.
     symbols : (casadi.SX, casadi.SX)
         Symbols of the variables and the data of a point.
     tables : TableArguments
@@ -457,9 +467,9 @@ class CompiledModel:
         """Return a copy of the model with given magnitudes of its variables, for the scaling.
 
         The scaling divides each unknown by the magnitude of its variable. `magnitudes` maps names
-        to magnitudes. A name is that of a variable, or of the Pyomo component of which the variable
-        is a member. If the mapping has neither name, the variable has no declared magnitude in the
-        copy. The result is the model itself if no magnitude changes.
+        to magnitudes. A name is that of a variable, or of the Pyomo component to which the variable
+        belongs. A variable that the mapping does not name has no declared magnitude in the copy. If
+        no magnitude changes, the result is the model itself.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -504,12 +514,16 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    The argument `declared` has the declarations: variables, equations and objective of the Pyomo
-    model, as CasADi symbols and expressions. Unless the objective is constant, states on which
-    neither the objective nor other equations depend are left out of the nonlinear program, and are
-    computed from its solution. Constraints on a single variable become bounds. Integrals in
-    conditions (constraints at declared times), or in a nonlinear term of the objective, become
-    static variables (variables without time), each with a constraint that defines it.
+    `declared` has the variables, equations and objective of the Pyomo model, as CasADi symbols and
+    expressions. These declarations are changed before they are compiled:
+
+    - Some states affect neither the objective nor any other equation. These states are left out of
+      the nonlinear program, and are computed from its solution. If the objective is constant, no
+      state is left out.
+    - A constraint on a single variable becomes a bound.
+    - A static variable (variable without time) replaces each integral in a condition (constraint at
+      declared times), or in a nonlinear term of the objective. A constraint makes the static
+      variable equal to the integral.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -562,12 +576,13 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def _times(declared: Declarations, parameters: Any) -> Any:
-    """Return a CasADi function for the physical times that bound the phases of the horizon.
+    """Return a CasADi function for the physical times at which phases of the horizon begin or end.
 
-    The function maps (static variables, parameters) to the start of the horizon, its free interior
-    times (times that the solve determines) and its end. A phase lies between two consecutive times
-    of this list. Static variables are variables without time. `declared` has the static variables
-    and the expressions of these times, and `parameters` is the column of the parameters' symbols.
+    The function maps (static variables, parameters) to a column of times: the start of the horizon,
+    the free interior times (interior times that the solve determines), and the end. A phase lies
+    between two consecutive times. Static variables are variables without time. `declared` has the
+    static variables and the expressions of the times. `parameters` is the column of the parameters'
+    symbols.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -576,11 +591,11 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 def with_moving_limits(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, in which all bounds over time depend on data alone.
 
-    The data are the fraction of the horizon and the parameters. If times are free (determined by
-    the solve), the time t in a constraint such as ``m.x[t] <= t`` depends on static variables
-    (variables without time). The bound of the constraint, here t, then depends on them too. In the
-    copy, such a bound is subtracted from both sides: the constraint becomes ``m.x[t] - t <= 0``. If
-    the bound of a variable depends on static variables, the bound is first written as a constraint.
+    The data are the fraction of the horizon and the parameters. If the solve determines physical
+    times of the horizon, the time t depends on static variables (variables without time). The bound
+    t in a constraint such as ``m.x[t] <= t`` then depends on static variables too. In the copy,
+    such a bound is subtracted from both sides: the constraint becomes ``m.x[t] - t <= 0``. A
+    variable's own bound that depends on static variables is first written as a constraint.
 
     `declared` are the declarations: the variables, equations and objective of the model.
     """
@@ -616,9 +631,9 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
     """Return constraints equivalent to a path equation, with limits that depend on data alone.
 
     `equation` is a constraint over time, with a lower and an upper limit. The data are the fraction
-    of the horizon and the parameters. `moves` returns whether a given limit depends on static
-    variables (variables without time). Each limit that depends on static variables becomes a
-    separate constraint, in which the limit is subtracted from the constraint's expression.
+    of the horizon and the parameters. `moves` is a function that tells whether a limit depends on
+    static variables (variables without time). Each limit that depends on static variables becomes a
+    separate constraint: the limit is subtracted from the constraint's expression.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -654,12 +669,12 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the bound of a constraint from whose expression a limit has been subtracted.
+    """Return the new bound of a constraint after a limit has been subtracted from its expression.
 
-    The bound is a CasADi expression: infinite in the parts of the horizon in which the limit is
-    absent, and 0 in all other parts. `unbounded` is a CasADi expression that is 1 where the limit
-    is absent, else 0. `none` is the infinite value: positive for an upper limit, negative for a
-    lower limit.
+    The bound is a CasADi expression: 0 where the constraint has the limit, and infinite in parts of
+    the horizon in which the limit is absent. `unbounded` is a CasADi expression that is 1 where the
+    limit is absent, else 0. `none` is the infinite value: positive for an upper limit, negative for
+    a lower limit.
     """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
@@ -669,9 +684,9 @@ def _moving_side(side: Any) -> tuple[Any, Any]:
     """Split a limit into its finite value and an indicator of its absence.
 
     `side` is the lower or the upper limit of a constraint over time, as a CasADi expression. The
-    model may declare different limits in different parts of the horizon, and none in some of them,
-    where the expression is infinite. The expression is then a sum with one term for each part of
-    the horizon, and each term is zero outside its part.
+    model may declare different limits in different parts of the horizon. The expression is then a
+    sum with one term for each part of the horizon, and each term is zero outside its part. In a
+    part without a limit, the expression is infinite.
 
     Returns
     -------
@@ -698,11 +713,20 @@ def _table_arguments(
 ) -> TableArguments:
     """Compile the functions that evaluate the arguments of all interpolation tables in a model.
 
-    `declared` has the model's table arguments, as expressions, and its parameters.
-    `path_variables` has the symbols of the variables at a collocation point, by name, and
-    `point_variables` the symbols of the variables in conditions (constraints at declared times). A
-    table argument that contains any other variable is left out of the result, because its equation
-    has been left out of the nonlinear program.
+    Parameters
+    ----------
+    declared : Declarations
+        Has the model's table arguments, as expressions, and the parameters.
+    path_variables : dict
+        Symbols of the variables at a collocation point, by name.
+    point_variables : dict
+        Symbols of the variables in conditions (constraints at declared times), by name.
+
+    Returns
+    -------
+    TableArguments
+        Table arguments that contain any other variable are omitted, because their equations have
+        been left out of the nonlinear program.
     """
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
@@ -720,13 +744,13 @@ def _table_arguments(
 
 
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
-    """Return a hash that identifies a model, whatever the values of its parameters.
+    """Return a hash that identifies a model; parameter values do not affect the hash.
 
-    The hash serves to check that a warm start belongs to the same model. The hash is computed from
-    `functions`, from the names of equations and variables, and from the sense of the objective.
-    `declared` are the declarations of the model, which give these names. `functions` are the CasADi
-    functions of all equations over time, of the conditions (constraints at declared times) and of
-    the objective.
+    The hash serves to check that a warm start (the solution of an earlier solve) belongs to the
+    same model. The hash is computed from `functions`, from the names of equations and variables,
+    and from the sense of the objective. `declared` gives these names and the sense. `functions` are
+    the CasADi functions of all equations over time, of the conditions (constraints at declared
+    times) and of the objective.
     """
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
@@ -809,9 +833,9 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
     """Return the names of those unknowns that a condition may bound.
 
-    A condition is a constraint at declared times (members of the continuous set). The unknowns are
-    the values of states at declared times, and the static variables (variables without time). A
-    condition that contains only one of these unknowns becomes a bound of the unknown. `declared`
+    A condition is a constraint at declared times (members of the continuous set). The returned
+    names are those of states at declared times, and of static variables (variables without time).
+    If a condition contains only one of these unknowns, the condition becomes a bound. `declared`
     are the declarations of the model.
     """
     states = {s.name for s in declared.states}
@@ -829,10 +853,10 @@ def _is_static(declared: Declarations, name: str) -> bool:
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, with a static variable for some of the integrals.
 
-    `declared` are the declarations: the variables, equations and objective of the model. A static
-    variable is a variable without time. An integral that enters only the objective, and linearly,
-    gets no static variable. Any other integral gets one, and a constraint of the nonlinear program
-    (a single dense row) makes the static variable equal to the integral.
+    A static variable is a variable without time. An integral gets a static variable if it enters a
+    condition (constraint at declared times), or a nonlinear term of the objective. A constraint of
+    the nonlinear program (a single dense row) then makes the static variable equal to the integral.
+    `declared` are the declarations: the variables, equations and objective of the model.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(

@@ -5,14 +5,15 @@ over the set, or on values at times of this set alone, belongs to the horizon's 
 objective and all other constraints form the coupling.
 
 In the coupling, static variables (variables without time) replace the integrals over the horizons,
-and the values of the horizons' variables at declared times (members of the sets). A static variable
-that replaces a state shares one unknown with that state. For any other replacement, a constraint of
-the horizon's program makes the static variable equal to the replaced value or integral. An integral
-that enters the objective linearly, and no constraint of the coupling, is not replaced, but becomes
-a part of the objective of the horizon's program.
+and the values of variables at declared times (members of the continuous sets). A static variable
+that replaces a state shares one unknown with that state. For any other static variable, a
+constraint of the horizon's program makes the variable equal to the replaced value or integral.
 
-The joint nonlinear program has the unknowns of each horizon first, then the static variables that
-share no unknown with a state.
+An integral that enters only the objective, and linearly, needs no static variable. It moves into
+the objective of the horizon's program.
+
+The joint nonlinear program has the unknowns of each horizon first. The static variables that share
+no unknown with a state follow.
 """
 
 from __future__ import annotations
@@ -71,8 +72,7 @@ class Link:
     time : float
         Time of the value: a member of the horizon's continuous set.
     state : PointSymbol, optional
-        The state and its time, if the value is a state at a node of the mesh, and therefore itself
-        an unknown of the horizon's program; else None.
+        The state and its time, if the value is that of a state; None for any other value.
     """
 
     slot: Slot
@@ -94,8 +94,8 @@ class Link:
 class CouplingWriter(TemplateWriter):
     """Translator from Pyomo to CasADi, for constraints on several horizons and for the objective.
 
-    The translator replaces each variable of a horizon at a single time by a static variable (a
-    variable without time) that equals it.
+    A static variable is a variable without time. The translator replaces the value of a horizon's
+    variable at a single time by a static variable that equals this value.
 
     Attributes
     ----------
@@ -114,9 +114,9 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        Unlike constraints on several horizons, which may contain values at the start and the end of
-        a horizon only, the objective may contain values at any declared time (member of a
-        continuous set). `objective` is the Pyomo objective.
+        The objective may contain values at any declared time (member of a continuous set).
+        Constraints on several horizons, in contrast, may contain values only at the start and the
+        end of a horizon. `objective` is the Pyomo objective.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -124,10 +124,10 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        The variable or parameter `data` (a leaf of a Pyomo expression) appears in the objective or
-        in a constraint on several horizons. If `data` is a variable over one horizon at a single
-        time, the result is the symbol of a static variable (a variable without time) that equals
-        the value of `data`. If `data` has no time, the result is the symbol of `data` itself.
+        The variable or parameter `data` appears in the objective or in a constraint on several
+        horizons. If `data` belongs to one horizon, at a single time, the result is the symbol of a
+        static variable (a variable without time) that equals `data`. If `data` has no time, the
+        result is the symbol of `data` itself.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -204,8 +204,8 @@ class CoupledDeclarations:
     horizons : dict
         Declarations of each horizon and their reader, by the name of the horizon's continuous set.
     coupling : Declarations, ModelReader
-        The objective, and the constraints without time that concern several horizons or none, with
-        their reader.
+        Declarations that belong to no single horizon, and their reader. These declarations are the
+        objective, the constraints on several horizons, and the constraints without any horizon.
     states : dict
         Static variables (variables without time) of the coupling that equal a state of a horizon.
         The name of the static variable is the key; the value is a pair: the name of the horizon,
@@ -230,10 +230,10 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     model : ConcreteModel
         The Pyomo model.
     times : mapping, optional
-        For each continuous set, by name: a mapping from members of the set to the static variables
-        (variables without time) that give the physical times of these members. The caller passes
-        this mapping as the argument `times` of `JointProblem`, the class of problems with several
-        horizons. Without the mapping, each member is itself a physical time.
+        Physical times that the solve determines. The keys are the names of continuous sets. Each
+        value maps members of the set to static variables (variables without time), which give the
+        physical times of these members. Any other member is itself a physical time. The mapping is
+        the argument `times` of `JointProblem`, the class of problems with several horizons.
 
     Returns
     -------
@@ -292,11 +292,11 @@ def _refuse_gaps(
 ) -> None:
     """Raise an error for an equality that links two horizons with a gap of time between them.
 
-    An equality between a value at the end of one horizon and a value at the start of another is
-    meant to continue the first horizon in the second. The equality is refused if the second horizon
-    starts later than the first horizon ends, according to their continuous sets. A gap is accepted
-    if a static variable (a variable without time) gives the physical time of the end of the first
-    or of the start of the second horizon.
+    An equality between a value at the end of one horizon and a value at the start of a later
+    horizon is meant to continue the earlier horizon. The equality is refused if, according to the
+    continuous sets, the later horizon starts after the earlier horizon has ended. A gap is accepted
+    if a static variable (a variable without time) gives the physical time of this start or of this
+    end.
 
     Parameters
     ----------
@@ -305,8 +305,8 @@ def _refuse_gaps(
     links : list of Link
         Static variables that stand for values of the horizons in these constraints.
     free : dict
-        For each continuous set, by name: a mapping from members of the set to the static variables
-        that give their physical times.
+        Physical times given by static variables. The keys are the names of continuous sets; each
+        value maps members of the set to static variables.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -409,8 +409,8 @@ class Union:
     programs : sequence of Transcription
         Nonlinear programs of the horizons and of the coupling.
     states : mapping
-        For each static variable that equals a state of a horizon, by name: the `StateValue` with
-        which it shares one unknown.
+        Name of a static variable that equals a state of a horizon -> this state, as a `StateValue`.
+        The static variable and the state share one unknown.
 
     Attributes
     ----------
@@ -499,9 +499,10 @@ class Union:
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
 
-        The scaling divides each unknown by its magnitude, which follows from the declared scaling
-        factor of the variable, else from its bounds and its values. `whole` has the bounds of the
-        joint program, and `z` the values of its unknowns.
+        The scaling divides each unknown by its magnitude. The magnitude follows from the declared
+        scaling factor of the variable or, without a declared factor, from the bounds and the value
+        of the unknown. `whole` has the bounds of the joint program, and `z` the values of its
+        unknowns.
         """
         return self.joined(
             [

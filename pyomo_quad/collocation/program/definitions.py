@@ -36,12 +36,15 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    Only equalities are considered. Algebraic variables that enter an equation with a constant
-    coefficient are called its linear variables. The search is repeated: an equation with a single
-    linear variable defines this variable, and a variable that is already defined no longer counts
-    as a linear variable of the other equations. For example, ``k == exp(-1 / x)`` defines k, but
-    not x, which enters nonlinearly. If y is a state, ``p - q == y`` has two linear variables, and
-    therefore defines p only if another equation defines q, and q only if another defines p.
+    Only equalities are considered. The linear variables of an equation are the algebraic variables
+    that enter it with a constant coefficient. An equation with a single linear variable defines
+    this variable. Once a variable is defined, it no longer counts as a linear variable of other
+    equations, which may then define further variables. The search ends when no equation has a
+    single linear variable.
+
+    For example, ``k == exp(-1 / x)`` defines k, but not x, which enters nonlinearly. If y is a
+    state, ``p - q == y`` has the linear variables p and q. This equation defines p once another
+    equation defines q.
 
     Parameters
     ----------
@@ -95,9 +98,9 @@ def with_defined(
 ) -> FloatArray:
     """Compute the algebraic variables that equations define, at several points.
 
-    The defining equations may depend on each other and are solved by repeated substitution. If
-    their largest residual does not fall below a millionth of its initial value, as may happen if
-    the dependencies are circular, the variables are returned unchanged.
+    The defining equations may depend on each other, and are solved by repeated substitution. The
+    substitution fails if the largest residual of the equations does not fall below a millionth of
+    its initial value. Circular dependencies may cause such a failure.
 
     Parameters
     ----------
@@ -113,7 +116,8 @@ def with_defined(
     Returns
     -------
     ndarray, shape (n_points, n_variables)
-        Copy of `variables` in which the defined variables satisfy their equations.
+        Copy of `variables` in which the defined variables satisfy their equations. After a failure,
+        `variables` itself.
     """
     if not given:
         return variables

@@ -1,11 +1,12 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-There are two kinds of elastic programs. The first kind keeps the objective, and has slacks
-(permitted violations) in the equations over time. The optimum of this program serves as the initial
-point of a solve, because the equations over time can be satisfied near this optimum. The second
-kind has slacks in every constraint, and minimises the sum of violations instead of the objective.
-If the least sum is positive, no choice of the unknowns within their bounds, near the point where
-the search ended, satisfies all constraints: the problem is reported as infeasible.
+Slacks are unknowns that permit a violation. There are two kinds of elastic programs. One kind keeps
+the objective, and has slacks in the equations over time. The optimum of this program serves as
+the initial point of a solve, because the equations over time can be satisfied near this optimum.
+
+The other kind has slacks in every constraint, and minimises the sum of violations instead of the
+objective. If the least sum is positive, the constraints cannot all be satisfied near the optimum,
+with unknowns within their bounds. The problem is then reported as infeasible.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ def _with_slacks(
 ) -> ExtendedProgram:
     """Return an elastic program: a copy of a program with penalised slacks in some constraints.
 
-    Each chosen constraint has two non-negative slacks, which are added unknowns. The first slack
-    increases the value of the constraint, and so permits a violation of the lower bound; the second
+    Each chosen constraint has two non-negative slacks, which are added unknowns. One slack
+    increases the value of the constraint, and so permits a violation of the lower bound. The other
     slack decreases the value, and so permits a violation of the upper bound.
 
     Parameters
@@ -88,11 +89,24 @@ def _solved(
 ) -> IpoptResult:
     """Solve an elastic program by Ipopt, starting from a point of the original program.
 
-    The program `elastic` is the original program with slacks that permit violations of its
-    constraints. The initial slacks equal the violations at the point `near` (the unknowns of the
-    original program), plus a margin. `bounds` and `scaling` are the bounds and scaling of the
-    original program. `options` are settings of Ipopt, and `progress` is called at each iteration.
-    The unknowns of the result are those of the original program, then the slacks.
+    The initial slacks equal the violations of the constraints at the starting point, plus a margin.
+
+    Parameters
+    ----------
+    elastic : ExtendedProgram
+        The original program with slacks, which permit violations of its constraints.
+    near : ndarray, shape (n_unknowns,)
+        Starting point: unknowns of the original program.
+    bounds, scaling : Bounds, Scaling
+        Bounds and scaling of the original program.
+    options : SolverOptions
+    progress : callable or None
+        Called at each iteration; returning False stops the solve.
+
+    Returns
+    -------
+    IpoptResult
+        The unknowns are those of the original program, then the slacks.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()
@@ -116,11 +130,18 @@ def _solved(
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
     """Return a program whose equations over time may be violated by slacks at a penalty.
 
-    One unit of slack changes the value of an equation by the equation's scale, which is the inverse
-    of its factor in `scaling`. The penalty per unit of slack is proportional to the quadrature
-    weight of the collocation point. The sum of all penalties therefore approximates an integral
-    over the horizon, whatever the mesh. The size of `z` (the unknowns) gives the number of
-    unknowns; the values in `z` have no effect.
+    The penalty per unit of slack is proportional to the quadrature weight of the collocation point.
+    On every mesh, the sum of all penalties therefore approximates an integral over the horizon.
+
+    Parameters
+    ----------
+    program : Transcription
+        The original program.
+    scaling : Scaling
+        Scaling of the original program. One unit of slack changes the value of an equation by the
+        inverse of the equation's scaling factor.
+    z : ndarray, shape (n_unknowns,)
+        Unknowns of the original program. Only their number matters, not their values.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
@@ -162,13 +183,15 @@ def elastic_point(
 class LeastViolation:
     """Point of least constraint violation: optimum of the elastic program without the objective.
 
+    In the elastic program, slacks permit violations of all constraints at a penalty.
+
     Attributes
     ----------
     z : ndarray, shape (n_unknowns,)
         The unknowns at that optimum, within their bounds.
     slacks : ndarray, shape (n_rows,)
-        Violation of each constraint, in units of the constraint's scale, which is about the size of
-        the constraint's largest term.
+        Violation of each constraint, divided by the constraint's scale. The scale is about the size
+        of the constraint's largest term.
     result : IpoptResult
         Ipopt's result for the elastic program.
     """
@@ -205,17 +228,19 @@ def least_violation(
 ) -> LeastViolation:
     """Find a point at which the sum of scaled constraint violations is least.
 
-    The search solves an l1 elastic program without the objective: each constraint may be violated
-    by a slack, measured in units of the constraint's scale, and the penalty per unit is the same
-    for every constraint. Because the penalties are equal, Ipopt's barrier leaves about the same
-    slack in each constraint that could be satisfied. On every mesh, this slack is far below the
-    threshold at which a constraint counts as violated.
+    The search solves an l1 elastic program without the objective. Each constraint may be violated
+    by a slack, measured in units of the constraint's scale. The penalty per unit of slack is the
+    same for every constraint.
+
+    With equal penalties, Ipopt's barrier leaves about the same slack in each constraint that could
+    be satisfied. On every mesh, this slack is far below the threshold at which a constraint counts
+    as violated.
 
     Parameters
     ----------
     program : NonlinearProgram
     bounds : Bounds
-        Bounds of the unknowns, which are not relaxed, and of the constraints.
+        Bounds of the unknowns and of the constraints. The bounds of the unknowns are not relaxed.
     scaling : Scaling
     z : ndarray, shape (n_unknowns,)
         Point from which the search starts. Unknowns that affect no violation stay near their values

@@ -1,7 +1,8 @@
 """Ipopt through cyipopt: settings, callbacks, progress, and the best iterate of a failed solve.
 
 Ipopt's barrier leaves a complementarity gap at the solution: the sum of multipliers times slacks of
-all inequalities. What the gap means for the objective: see docs/theory/refinement.md, eq. (16).
+all inequalities. For the effect of the gap on the objective, see docs/theory/refinement.md,
+eq. (16).
 """
 
 from __future__ import annotations
@@ -52,7 +53,7 @@ class Status(Enum):
 
     @property
     def has_failed(self) -> bool:
-        """Whether Ipopt failed or reported infeasibility; a poor guess may cause both outcomes."""
+        """Whether Ipopt failed or reported infeasibility; a poor guess may cause either outcome."""
         return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 
@@ -90,11 +91,11 @@ _PUSHES = (
 
 
 class StartDistance(Enum):
-    """Expected distance of a warm start from the point to which it converges on the central path.
+    """Expected distance of a warm start from the point at which the solve ends.
 
-    The central path is the curve of optima for positive barrier parameters. `NONE`: the start
-    practically coincides with the point to which the solve converges. `SHORT`: the start is near
-    that point. `FAR`: the start is far from that point.
+    The end point lies on the central path: the curve of optima for positive barrier parameters.
+    `NONE`: the start practically coincides with the end point. `SHORT`: the start is near the end
+    point. `FAR`: the start is far from the end point.
     """
 
     NONE = "none"
@@ -157,12 +158,12 @@ class SolverOptions:
     def for_phases(self) -> SolverOptions:
         """Return the settings for models whose equations hold a variable at a bound for some time.
 
-        An example is an equation that prescribes full thrust of an engine, whose thrust is bounded.
-        Another example is a tank that stays empty, with a bound that forbids a negative content.
-        The equation and the bound together leave the feasible set without an interior, so the
-        multipliers diverge. A warm start from diverged multipliers is slower than a solve from the
-        guess. With these settings, Ipopt therefore relaxes all bounds slightly, and projects the
-        solution back onto the original bounds.
+        One example is an equation that prescribes full thrust of an engine, whose thrust is
+        bounded. Another example is a tank that stays empty, with a bound that forbids a negative
+        content. The equation and the bound together leave the feasible set without an interior, so
+        the multipliers diverge. A warm start from diverged multipliers is slower than a solve from
+        the guess. With these settings, Ipopt relaxes all bounds slightly, so that the feasible set
+        has an interior. At the end, Ipopt projects the solution back onto the original bounds.
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
@@ -176,10 +177,9 @@ class SolverOptions:
         the selected point differ little from mesh to mesh.
 
         If the start practically coincides with the selected point, variables that start on their
-        bounds stay there. If the start is far from the selected point, the start is first moved
-        inside the bounds, and the solve begins with a larger barrier parameter. Without these two
-        measures, a solve from a far start would take many short steps, because bounds that become
-        active or inactive would shorten nearly every step.
+        bounds stay there. If the start is far from the selected point, Ipopt first moves the start
+        inside the bounds, and begins with a larger barrier parameter. Without these two
+        measures, bounds that become active or inactive would shorten nearly every step.
 
         Parameters
         ----------
@@ -205,14 +205,14 @@ class SolverOptions:
         expected change. With a larger gap, the iterates would first move away from the warm start
         and then return. The initial barrier parameter is at most the usual one of warm starts.
 
-        Ipopt ends a solve only if the barrier parameter is below a multiple of the tolerance. If
-        the chosen initial value were already that small, Ipopt would not reduce it, and the gap at
-        the solution would depend on the expected change and would differ from mesh to mesh. In that
-        case the solve begins with a smaller barrier parameter, which depends only on the tolerance.
+        Ipopt only reduces a barrier parameter that is above a multiple of the tolerance. If the
+        chosen initial value were below this multiple, the final gap would depend on the expected
+        change, and would differ from mesh to mesh. In that case, the solve begins with a barrier
+        parameter that depends on the tolerance alone.
 
-        A large change of the objective shifts the times at which bounds become active. If the start
-        lay on its bounds, many iterations would then take short steps only. The start is therefore
-        moved well inside the bounds.
+        A large change of the objective shifts the times at which bounds become active. From a start
+        on the bounds, Ipopt would then take many short steps. If the expected change is large, the
+        settings therefore move the start well inside the bounds.
 
         Parameters
         ----------
@@ -232,10 +232,10 @@ class SolverOptions:
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts after which limits may become active at other times.
 
-        On a new mesh, a collocation point may lie on the other side of the time at which a limit (a
-        bound of a variable or constraint) becomes active. If the start lies on its bounds, these
-        bounds then block Ipopt's first dozen steps. The settings therefore move the start slightly
-        inside the bounds.
+        A limit is a bound of a variable or constraint. On a new mesh, a limit may become active at
+        a slightly different collocation point. If the start lies on its bounds, these bounds then
+        block Ipopt's first dozen steps. The settings therefore move the start slightly inside the
+        bounds.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
@@ -266,13 +266,14 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
 
-        The start is the solution on the previous mesh, from which the mesh differs in few elements.
-        With the usual initial barrier parameter of a warm start, the iterates would first move away
-        from this nearly optimal start. With the smaller barrier parameter of these settings,
-        controls on which the objective hardly depends stay near their values on the previous mesh.
-        The smaller parameter was tested on a flight of 1 km against the wind; the mesh of this
-        flight was refined to five times as many points. The settings also move the start inside its
-        bounds.
+        The start is the solution on the previous mesh. The new mesh differs from the previous mesh
+        in few elements, so the start is nearly optimal. With the usual initial barrier parameter of
+        a warm start, the iterates would first move away from the start. With the smaller barrier
+        parameter of these settings, controls that hardly affect the objective stay near their
+        values on the previous mesh. The settings also move the start inside its bounds.
+
+        The barrier parameter was tested on a flight of 1 km against the wind, with a mesh that was
+        refined to five times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -421,8 +422,8 @@ class _Callbacks:
     sign : float
         -1 if the Pyomo model maximises its objective, else 1.
     floor : float
-        Value of the objective below which an iteration counts as evidence that the problem is
-        unbounded.
+        Very low value of the objective. The problem appears unbounded if the objective remains
+        below this value for several iterations.
     below : int
         Number of the latest consecutive iterations with an objective below `floor`.
     history : list of Iteration
@@ -451,8 +452,8 @@ class _Callbacks:
     def is_bottomless(self) -> bool:
         """Whether the problem appears to be unbounded.
 
-        This is the case if the objective to minimise was below the attribute `floor`, a very low
-        value, in each of the latest few iterations.
+        A problem appears to be unbounded if the objective to minimise was below the attribute
+        `floor`, a very low value, in each of the latest few iterations.
         """
         return self.below >= _PATIENCE_BELOW
 
@@ -475,8 +476,8 @@ class _Callbacks:
         """Evaluate a function of the program at the unknowns `z`, and catch its exceptions.
 
         `name` is the name of the program's method, and `more` are its further arguments. An
-        exception is stored in the attribute `error`. Once any evaluation has raised one, the result
-        is an array of NaN.
+        exception is stored in the attribute `error`. After the first exception, the result of every
+        evaluation is an array of NaN.
         """
         if self.error is None:
             try:
@@ -535,12 +536,23 @@ class _Callbacks:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
         Ipopt calls this method at each iteration. The best iterate is that with the least
-        constraint violation, up to a factor of 10. `iteration` is the number of the iteration, and
-        `objective` the objective to minimise. `infeasibility` and `dual_infeasibility` are the
-        largest violations of the scaled constraints and of the scaled stationarity conditions, and
-        `barrier` is the barrier parameter. Further arguments of Ipopt are not used. Ipopt stops
-        after an exception in a callback, at the request of the caller's callback, or if the problem
-        appears to be unbounded.
+        constraint violation, up to a factor of 10. Ipopt stops after an exception in a callback, at
+        the request of the caller's callback, or if the problem appears to be unbounded.
+
+        Parameters
+        ----------
+        iteration : int
+            Number of the iteration.
+        objective : float
+            Objective to minimise.
+        infeasibility, dual_infeasibility : float
+            Largest violation of the scaled constraints, and of the scaled stationarity conditions.
+        barrier : float
+            Barrier parameter.
+
+        Notes
+        -----
+        Further arguments from Ipopt are not used.
         """
         if self.error is not None:
             return False
@@ -696,13 +708,14 @@ def _with_idle_unknowns(
 ) -> ExtendedProgram:
     """Return a program with added unknowns, to prevent its treatment as a square system.
 
-    If there are as many equations as free unknowns, Ipopt solves the equations alone: it stops at
-    the first point that satisfies them, whatever the objective. If there are more equations than
-    free unknowns, Ipopt refuses the program. Both are wrong if some equations follow from others,
-    because the feasible point is then not unique. An example is an end condition on a conserved
-    quantity. The added unknowns make the free unknowns outnumber the equations. Each added unknown
-    appears as a square in the objective and in no equation. It is therefore zero at the optimum,
-    and the optimal values of the original unknowns are unchanged.
+    If there are as many equations as free unknowns, Ipopt ignores the objective, and stops at the
+    first point that satisfies the equations. If there are more equations than free unknowns, Ipopt
+    refuses the program. Both reactions are wrong if some equations follow from others, because many
+    points may then satisfy the equations. An example is an end condition on a conserved quantity.
+
+    With the added unknowns, there are more free unknowns than equations. Each added unknown appears
+    as a square in the objective and in no equation. Its optimal value is therefore zero, and the
+    optimal values of the original unknowns are unchanged.
 
     Parameters
     ----------
@@ -728,10 +741,9 @@ def barrier_gap(
 ) -> float:
     """Return the complementarity gap: the sum of multipliers times slacks of all inequalities.
 
-    The inequalities are all finite bounds of the unknowns and constraints; their slacks are the
-    distances from these bounds at the unknowns `z`. The gap is in the unit of the objective. For a
-    convex program it is an upper bound of the amount by which the objective at `z` exceeds the
-    optimum.
+    The inequalities are all finite bounds of the unknowns and constraints. The slack of an
+    inequality is the distance from its bound at the unknowns `z`. The gap is in the unit of the
+    objective. For a convex program, the objective at `z` exceeds the optimum by at most the gap.
     """
     rows, pull = program.constraints(z), multipliers.rows
     parts = (
@@ -758,9 +770,9 @@ def run_past_the_barrier(
 
     The gap is the sum of multipliers times slacks of all inequalities; the function `barrier_gap`
     computes it. Ipopt stops when gap and gradients are small in units of the scaled objective. If
-    the objective is steep at the initial point, its scaling factor becomes so small that the gap
-    may exceed the objective itself. The solve is then repeated, at most twice, with a larger factor
-    on the objective, until the gap is a small fraction of the objective.
+    the objective is steep at the initial point, its scaling factor is very small. The gap may then
+    exceed the objective itself. The solve is therefore repeated with a larger factor, until the gap
+    is a small fraction of the objective. There are at most two repetitions.
 
     Parameters
     ----------
@@ -838,10 +850,19 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    `callbacks` has recorded the progress and the iterate with the least constraint violation. After
-    a failed solve, the result holds this iterate, unless the iterates diverged. `z` (the unknowns)
-    and `info` are the results of cyipopt, `wall` is the wall-clock time [s], and `stopped` is true
-    if the user interrupted the solve.
+    After a failed solve, the result holds the recorded iterate with the least constraint violation.
+    If the iterates diverged, it holds `z` instead.
+
+    Parameters
+    ----------
+    callbacks : _Callbacks
+        Recorded progress, and the iterate with the least constraint violation.
+    z, info : ndarray, dict
+        The results of cyipopt: unknowns, and further information.
+    wall : float
+        Wall-clock time [s].
+    stopped : bool
+        Whether the user interrupted the solve.
 
     Raises
     ------

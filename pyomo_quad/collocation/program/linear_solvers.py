@@ -1,4 +1,4 @@
-"""Check that the linear solver that Ipopt is to use can be loaded.
+"""Check that Ipopt can load the linear solver that its options name.
 
 Without this check, an absent solver would make the solve fail, or end the whole process.
 """

@@ -1,10 +1,13 @@
 """Nonlinear programs (NLPs): interface, bounds, scaling, multipliers, and extension.
 
 An `ExtendedProgram` adds unknowns, linear constraints and quadratic costs to a program. It serves
-four purposes: penalised slacks in the constraints (elastic programs); bounds between the
-collocation points; a quadratic cost that keeps controls near given values (damping); and unknowns
-that keep Ipopt from treating a program as a square system, whose equations alone determine the
-solution.
+four purposes:
+
+- penalised slacks in the constraints (elastic programs);
+- bounds between the collocation points;
+- a quadratic cost that keeps controls near given values (damping);
+- idle unknowns, which have no effect on the optimum. Without idle unknowns, Ipopt would ignore the
+  objective of a program that has as many equations as unknowns.
 """
 
 from __future__ import annotations
@@ -224,10 +227,12 @@ def _no_columns() -> NDArray[np.intp]:
 class ExtendedProgram:
     """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
 
-    The unknowns are w = (z, s): the n unknowns z of the original program with n_rows constraints
-    c(z), and n_more further unknowns s. The extended program minimises ``share f(z) + prices . s +
-    weights / 2 . (w[columns] - near)**2``. The values of its constraints are ``(c(z), 0) + terms @
-    w``, where the zeros belong to n_more_rows further, linear constraints.
+    The unknowns are w = (z, s): the n unknowns z of the original program, and n_more further
+    unknowns s. The extended program minimises
+    ``share f(z) + prices . s + weights / 2 . (w[columns] - near)**2``. The original program has
+    n_rows constraints c(z). The extended program has n_more_rows further, linear constraints. The
+    values of all constraints are ``(c(z), 0) + terms @ w``, with zeros in place of the further
+    constraints.
 
     Attributes
     ----------
@@ -237,12 +242,13 @@ class ExtendedProgram:
         Weight of the original objective; 0 leaves it out.
     prices : ndarray, shape (n_more,)
         Cost per unit of each further unknown.
-    columns, weights, near : ndarray, shape (k,)
-        Positions in w of the k unknowns with a quadratic cost, each listed once; weight of each
-        cost; and value of the unknown at which the cost is zero.
+    columns : ndarray of int, shape (k,)
+        Positions in w of the k unknowns with a quadratic cost, each listed once.
+    weights, near : ndarray, shape (k,)
+        For each of these unknowns: weight of the cost, and value at which the cost is zero.
     terms : csr_array, shape (n_rows + n_more_rows, n + n_more), optional
-        Linear terms of all constraints, with no entry where the Jacobian of the original program
-        has an entry.
+        Coefficients of the linear terms of all constraints. The matrix must have no entry where the
+        Jacobian of the original program has one.
     """
 
     program: Any

@@ -1,11 +1,13 @@
 """Redundant conditions: found at given unknowns, left out of a solve, and checked afterwards.
 
 A condition is a constraint at a declared time (a member of the continuous set), such as an end
-condition. It is redundant if it follows from the other equations. For example, if a quantity is
-conserved, an end condition on this quantity follows from the initial conditions and the equations
-over time. On a mesh, the end condition follows only up to the discretisation error. A program that
-imposes the redundant end condition may have no solution. It may also have a unique solution with
-unbounded multipliers, although the problem without the condition has many solutions.
+condition. A condition is redundant if it follows from the other equations. For example, if a
+quantity is conserved, an end condition on this quantity follows from the initial conditions and the
+equations over time.
+
+On a mesh, the end condition follows only up to the discretisation error. A program that imposes the
+redundant end condition may therefore have no solution. The program may also have a unique solution
+with unbounded multipliers, although the problem without the condition has many solutions.
 """
 
 from __future__ import annotations
@@ -52,8 +54,8 @@ class Candidate:
     name : str
         Name of the condition, or of the fixed variable and its time.
     key : str or (str, float)
-        Identifies the condition when it is left out of a solve: the name of a constraint, or, for a
-        fixed value, the pair (variable name, fraction of the horizon).
+        Key by which a solve leaves the condition out. The key of a constraint is its name. The key
+        of a fixed value is the pair (variable name, fraction of the horizon).
     row, column : int
         For a condition that is a constraint, `row` is the index of the constraint in the program
         and `column` is -1. For a condition that fixes an unknown, `row` is -1 and `column` is the
@@ -72,10 +74,17 @@ def _candidates(
     """Yield the equality conditions that may turn out to be redundant, in a fixed order.
 
     A condition is a constraint at declared times (members of the continuous set), or a value fixed
-    at a declared time. Conditions that fix a single state at the start of the horizon are not
-    yielded, because they are never left out. `program` is the nonlinear program on one mesh, and
-    `bounds` are its bounds. `fixed` has the values of variables fixed at declared times; its keys
-    are pairs (variable name, fraction of the horizon).
+    at a declared time. A condition that fixes a single state at the start of the horizon is never
+    left out of a solve, and therefore not yielded.
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+        Bounds of the program.
+    fixed : dict
+        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
     """
     conditions = program.compiled.declared.conditions
     for k, condition in enumerate(conditions):
@@ -159,12 +168,22 @@ def _slopes_of(
 ) -> list[FloatArray]:
     """Return the scaled gradients of conditions with respect to the free unknowns.
 
-    `candidates` are the conditions: constraints at declared times, or values fixed at declared
-    times. An unknown is free if its bounds are unequal, or if one of these conditions fixes it.
-    `slopes` is the scaled Jacobian of all constraints with respect to the free unknowns, and
-    `free` are the positions of the free unknowns among all unknowns. There is one gradient for each
-    condition, with the shape (n_free,); the gradient of a condition that fixes an unknown is a unit
-    vector.
+    An unknown is free if its bounds are unequal, or if one of the conditions fixes it.
+
+    Parameters
+    ----------
+    candidates : list of Candidate
+        The conditions: constraints at declared times, or values fixed at declared times.
+    slopes : sparse array, shape (n_rows, n_free)
+        Scaled Jacobian of all constraints with respect to the free unknowns.
+    free : ndarray of int, shape (n_free,)
+        Positions of the free unknowns among all unknowns.
+
+    Returns
+    -------
+    list of ndarray, shape (n_free,)
+        One gradient per condition. The gradient of a condition that fixes an unknown is a unit
+        vector.
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
@@ -179,11 +198,11 @@ def _slopes_of(
 
 
 def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
-    """Return the component of each vector orthogonal to the span of the equations' gradients.
+    """Return the part of each vector that is orthogonal to the gradients of all equations.
 
     `equations` is a sparse matrix with the gradient of one equation per row. `vectors` are the
-    gradients of conditions: a small component shows that the condition follows from the equations
-    (is redundant).
+    gradients of conditions. If the orthogonal part is small, the condition follows from the
+    equations (is redundant).
     """
     m, n = equations.shape
     system = block_array(
@@ -194,11 +213,10 @@ def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[F
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return a copy of the data of a solve, changed so that some conditions are not imposed.
+    """Return a copy of the data of a solve, in which some conditions are not imposed.
 
     `instance` has the data of the solve: parameters, horizon, and values fixed at declared times.
-    `left_out` are the conditions (constraints or fixed values at declared times) that a solve with
-    the returned data does not impose.
+    `left_out` are the conditions to leave out: constraints or fixed values at declared times.
     """
     keys = {candidate.key for candidate in left_out}
     return replace(
@@ -224,13 +242,15 @@ def misses(
         The conditions (constraints or fixed values at declared times) left out.
     program : Transcription
         Program of the last mesh.
-    bounds, fixed : Bounds, dict
-        Bounds of the program, and values fixed at declared times by (variable name, fraction of the
-        horizon), both with these conditions imposed.
+    bounds : Bounds
+        Bounds of the program with all conditions imposed.
+    fixed : dict
+        Values of variables fixed at declared times, by (variable name, fraction of the horizon);
+        including the values that were left out.
     scaling : Scaling
         Factors of the constraints and the unknowns.
     z : ndarray, shape (n_unknowns,)
-        The solution without these conditions.
+        The solution without the conditions in `left_out`.
 
     Returns
     -------

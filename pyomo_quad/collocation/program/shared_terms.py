@@ -3,8 +3,12 @@
 CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
 than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
 last bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table,
-which takes a second for a table of a million numbers. Therefore each call is replaced by symbols
-before the expressions are differentiated, and inserted again after equal terms have been merged.
+which takes a second for a table of a million numbers.
+
+The module therefore proceeds in three steps. First, symbols replace the calls in the expressions.
+Then the expressions are differentiated, and equal terms are merged. Finally, the calls replace the
+symbols again.
+
 The symbols need no derivatives: a call returns the coefficients of a Taylor polynomial, and these
 coefficients count as constants in all derivatives. The module `collocation.reading.local_splines`
 creates these calls.
@@ -98,7 +102,7 @@ class WithoutCalls:
         Returns
         -------
         casadi.SX
-            The same column with the calls in place of these symbols.
+            The merged column, with the calls in place of these symbols.
         """
         found = casadi.cse(column)
         for results, called, arguments in reversed(self.calls):

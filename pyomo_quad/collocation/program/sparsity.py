@@ -1,9 +1,9 @@
 """Layout of the unknowns, sparsity patterns of derivatives, and assembly of their nonzeros.
 
 The derivatives of the equations at a single collocation point have the same sparsity pattern at all
-points. Index arrays, computed once per mesh, tell to which nonzeros of the nonlinear program's
-sparse matrices each of these derivatives is added. The time derivatives of the states are no
-unknowns, but linear combinations of the states: see docs/theory/transcription.md, eq. (4).
+points. Each derivative is added to one or more nonzeros of the nonlinear program's sparse matrices.
+Index arrays, computed once per mesh, tell to which nonzeros. The time derivatives of the states are
+no unknowns, but linear combinations of the states: see docs/theory/transcription.md, eq. (4).
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Places = NDArray[np.int32]
 class Layout:
     """Positions of the variables among the unknowns of the nonlinear program on one mesh.
 
-    The unknowns are ordered node by node (start of the horizon, then the collocation points): the
-    states at the start, then for each collocation point the algebraic variables and the states;
-    static variables (without time) come last. A position is called a column, as in the Jacobian.
+    The states at the start of the horizon come first. Then follow, for each collocation point, the
+    algebraic variables and the states. Static variables (without time) come last. A position is
+    called a column, as in the Jacobian.
 
     Attributes
     ----------
@@ -125,8 +125,9 @@ class Layout:
     def slope_matrix(self) -> csr_matrix:
         """Differentiation matrix from a state at the nodes to its rate at the collocation points.
 
-        Sparse, shape (n_points, n_points + 1); the nodes are the start of the horizon and the
-        collocation points. The rate is the derivative with respect to the fraction of the horizon.
+        The rate is the derivative with respect to the fraction of the horizon. The nodes are the
+        start of the horizon and the collocation points. The matrix is sparse and has the shape
+        (n_points, n_points + 1).
         """
         if self.mesh is None:
             return csr_matrix((0, 1))
@@ -168,9 +169,9 @@ class Layout:
     def condition_variables(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times and the static variables.
 
-        Conditions (constraints at declared times, the members of the continuous set) and the
-        objective contain these values. Static variables do not depend on time. The matrix has one
-        row per value, and one column per unknown.
+        Declared times are members of the continuous set. The values are those that appear in the
+        objective or in conditions (constraints at declared times). Static variables do not depend
+        on time. The matrix has one row per value or static variable, and one column per unknown.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
@@ -181,7 +182,7 @@ class Layout:
 
         Declared times are members of the continuous set; conditions are constraints at these times.
         The matrix has one row per value, and one column per unknown. A value at a time between
-        nodes is interpolated, so that its row has one weight per node of the element.
+        nodes is interpolated: its row has one weight per node of the element.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -245,8 +246,8 @@ class Contributions:
     """Collector of contributions to the entries of a sparse matrix.
 
     A source is a number that a CasADi function returns at each evaluation. A contribution adds a
-    weight times a source to the entry at (row, column) of the matrix. From the collected
-    contributions, `scatter` makes the linear map from all sources to the nonzeros of the matrix.
+    weight times a source to the entry at (row, column) of the matrix. The method `scatter` turns
+    the collected contributions into a linear map from all sources to the nonzeros of the matrix.
     """
 
     def __init__(self) -> None:
@@ -280,8 +281,8 @@ class Contributions:
     ) -> None:
         """Add derivatives with respect to variables that are linear combinations of the unknowns.
 
-        By the chain rule, each derivative contributes to the columns of all unknowns from which its
-        variable is combined.
+        By the chain rule, a derivative with respect to a variable contributes to the columns of all
+        unknowns in the linear combination.
 
         Parameters
         ----------
@@ -384,7 +385,7 @@ class Scatter:
 class JacobianScatter:
     """Assembly of the constraints' Jacobian and the objective's gradient from point derivatives.
 
-    The inputs of the assembly are called sources: a source is a number that a CasADi function
+    The inputs of the assembly are called sources. A source is a number that a CasADi function
     returns at each evaluation, such as the derivative of a path equation at a collocation point.
     The sources are in a fixed order: first the derivatives of path equations and integrands, then
     the derivatives of conditions (constraints at declared times) and objective. An integral enters
@@ -395,15 +396,15 @@ class JacobianScatter:
     rows : Scatter
         Linear map from the sources to the Jacobian of the constraints.
     objective : Scatter
-        Linear map from the sources to the gradient of the objective, with the integrals that enter
-        the objective directly held constant.
+        Linear map from the sources to the gradient of the objective. Integrals that enter the
+        objective directly are held constant in this gradient.
     integrals : tuple of Scatter
         For each integral that enters the objective directly: linear map from the sources to the
         gradient of the integral.
     slope_sources : ndarray of int
-        Where to find the derivatives of the objective with respect to integrals that enter it
-        directly: their positions among the sources of conditions and objective. Derivatives that
-        are always zero are omitted.
+        Positions of the derivatives of the objective with respect to integrals that enter it
+        directly. A position is counted among the sources of conditions and objective. Derivatives
+        that are always zero are omitted.
     slope_integrals : ndarray of int
         For each derivative in `slope_sources`, the position of its integral among all integrals
         that enter the objective directly.
@@ -439,10 +440,15 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the objective, shape (n_unknowns,).
 
-        `sources` are the values that CasADi returned for the first derivatives: those of path
-        equations and integrands, then those of conditions (constraints at declared times) and
-        objective, then a 1. `slopes` are the derivatives of the objective with respect to the
-        integrals that enter the objective directly (no static variable stands for these integrals).
+        Parameters
+        ----------
+        sources : ndarray, shape (n_sources,)
+            The values that CasADi returned for the first derivatives: those of path equations and
+            integrands, then those of conditions (constraints at declared times) and objective, then
+            a 1.
+        slopes : ndarray, shape (n_integrals,)
+            Derivatives of the objective with respect to the integrals that enter it directly. No
+            static variable stands for such an integral.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -455,11 +461,12 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
     """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
     `compiled` has the functions that give these derivatives, and `layout` the positions of the
-    unknowns. The inputs of the maps (sources) are the values that CasADi returns at each
-    evaluation: the nonzeros of the Jacobian of path equations and integrands, point by point, then
-    the nonzeros of the Jacobian of conditions (constraints at declared times) and objective, and a
-    final 1 (the derivative of a constraint that makes a static variable equal to an integral, with
-    respect to that variable).
+    unknowns. The inputs of the maps are called sources. They are, in this order:
+
+    - the nonzeros of the Jacobian of path equations and integrands, point by point;
+    - the nonzeros of the Jacobian of conditions (constraints at declared times) and objective;
+    - a 1. This is the derivative, with respect to a static variable (variable without time), of the
+      constraint that makes the static variable equal to an integral.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -511,10 +518,11 @@ def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
 
     `compiled` has the functions that give these derivatives, and `layout` the positions of the
-    unknowns. The map gives the nonzeros of the lower triangle. Its inputs (sources) are the values
-    that CasADi returns at each evaluation: the nonzeros of the Hessians of path equations and
-    integrands, point by point, then the nonzeros of the Hessian of conditions (constraints at
-    declared times) and objective.
+    unknowns. The map gives the nonzeros of the lower triangle. Its inputs are called sources. They
+    are, in this order:
+
+    - the nonzeros of the Hessians of path equations and integrands, point by point;
+    - the nonzeros of the Hessian of conditions (constraints at declared times) and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

@@ -38,9 +38,9 @@ class Place:
     name : str
         Full name of the equation or variable.
     time : float, optional
-        Physical time; the fraction of the horizon if start or end of the horizon is a variable;
-        None for a constraint that is not imposed at each collocation point, or a variable without
-        time.
+        Physical time. If start or end of the horizon is a variable, the fraction of the horizon
+        instead. None for a variable without time, and for a constraint that is not imposed at each
+        collocation point.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in the element, from 1.
     """
@@ -243,8 +243,8 @@ class Transcription:
     def horizon(self) -> tuple[float, float] | None:
         """Start and end of the horizon as physical times, None if one of them is a variable.
 
-        Start and end are parameters, unless a static variable (a variable without time) replaces
-        them.
+        The start or the end is a variable if a static variable (a variable without time) gives its
+        physical time.
         """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
@@ -253,10 +253,10 @@ class Transcription:
         return float(self.data.parameters[start]), float(self.data.parameters[end])
 
     def time_of(self, fraction: float) -> float:
-        """Return the time at a fraction of the horizon, by linear interpolation.
+        """Return the physical time at a fraction of the horizon.
 
-        The interpolation is between start and end of the horizon, which are physical times. The
-        result is `fraction` itself if start or end of the horizon is a variable.
+        The time is interpolated linearly between start and end of the horizon. If start or end of
+        the horizon is a variable, the result is `fraction` itself.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
