@@ -117,7 +117,7 @@ class MeshRecord:
     iterations : int
         Iterations of Ipopt.
     objective : float
-        Objective that the Pyomo model declares; it is not negated if it is maximised.
+        Value of the objective as the Pyomo model declares it, whether minimised or maximised.
     error : float
         Estimated largest relative error of the states.
     wall_s : float
@@ -145,8 +145,8 @@ class Outcome(Summarised):
     message : str
         Reason why the solve ended, in one sentence.
     objective : float
-        Objective that the Pyomo model declares (not negated if it is maximised), with integrals by
-        Radau quadrature at the collocation points.
+        Value of the objective as the Pyomo model declares it, whether minimised or maximised.
+        Integrals are computed by Radau quadrature at the collocation points.
     iterations : tuple of Iteration
         Ipopt's progress in the last solve.
     wall_s : float
@@ -161,11 +161,11 @@ class Outcome(Summarised):
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None
-        Numbers of iterations that a solve from the guess, without a warm start, takes. If this
-        solve began from a warm start, the record is taken from that warm start.
+        Numbers of iterations that a solve from the guess, without a warm start, took. After a solve
+        from a warm start, this is the record that the warm start contains.
     tried : tuple of str
-        Solution strategies that were tried, with the status of each result, if more than one
-        strategy was needed.
+        Name and result status of each solution strategy that was tried; empty if one strategy was
+        enough.
     """
 
     status: Status
@@ -309,11 +309,10 @@ class Solution(Outcome):
     def nominal_objective(self) -> float:
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
-        The result is the larger of two numbers. The first is the magnitude of the objective. The
-        second is the size of the objective's derivatives at the initial point, the inverse of the
-        objective's scaling factor. The second number is limited to 10 max(1, abs(objective)),
-        because a penalty term in the objective may make the derivatives at the initial point far
-        larger than those near the solution.
+        The result is the magnitude of the objective or, if larger, the size of the objective's
+        derivatives at the initial point. This size is the inverse of the objective's scaling
+        factor. The size is limited to 10 max(1, abs(objective)), because a penalty term in the
+        objective may make the derivatives far larger at the initial point than near the solution.
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
@@ -335,8 +334,8 @@ class Solution(Outcome):
 
         The boundaries of the attribute `mesh` are instead fractions of the declared horizon, the
         range of the model's continuous set. The two meshes differ only if the solve determines
-        times inside the horizon (free times): the phases between these times then have other shares
-        of the physical duration than of the declared horizon. The trajectory's values at the nodes
+        times inside the horizon. A phase between two such times may be, for example, half of the
+        declared horizon but a third of the physical duration. The trajectory's values at the nodes
         are the same on both meshes.
         """
         if len(self.timeline.times) == 2:
@@ -458,11 +457,18 @@ class Solution(Outcome):
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
         """Return the values with which components of the model are evaluated at given times.
 
-        `fractions` are the times, as fractions of the horizon. The result is the five inputs of the
-        functions that an `Evaluator` compiles for variables and expressions of the model. Each
-        input is an array with one row per time. The inputs are: the rates (derivatives of the
-        states with respect to the fraction of the horizon), the states, the algebraic variables,
-        the static variables (without time), and the data (the fraction and the parameters).
+        Parameters
+        ----------
+        fractions : ndarray, shape (n_times,)
+            Times as fractions of the horizon.
+
+        Returns
+        -------
+        list of ndarray
+            Five arrays with one row per time: the rates (derivatives of the states with respect to
+            the fraction of the horizon), the states, the algebraic variables, the static variables
+            (without time), and the data (the fraction and the parameters). They are the inputs of
+            the functions that an `Evaluator` compiles for variables and expressions of the model.
         """
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
@@ -530,10 +536,9 @@ class Solution(Outcome):
     def costate_errors(self) -> dict[str, float]:
         """Estimated largest error of each costate over the horizon, by the name of its state.
 
-        The error is relative to the costate's largest magnitude. If a limit on a state becomes
-        active or inactive inside an element, the costate may jump there, and its error in that
-        element is as large as the jump. The error is infinite if the errors of the states were not
-        estimated.
+        The error is relative to the costate's largest magnitude. A costate may jump where a limit
+        on a state becomes active or inactive. A jump inside an element makes the error as large as
+        the jump. The error is infinite if the errors of the states were not estimated.
         """
         own = costate_errors_of(
             self.program,
@@ -550,9 +555,10 @@ class Solution(Outcome):
     def warnings(self) -> tuple[str, ...]:
         """Warnings about a converged solution, one line each; empty if it has not converged.
 
-        The warnings are those in the attribute `notes`, for example that some equations follow from
-        others, and a warning if the Hamiltonian varies by more than mesh errors can explain,
-        although the problem does not depend on time explicitly.
+        The attribute `notes` has warnings of the solve, for example that some equations follow from
+        others. One more warning is added if the Hamiltonian should be constant, but varies by more
+        than mesh errors can explain. It should be constant if the problem does not depend on time
+        explicitly.
         """
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 

@@ -688,13 +688,11 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Update `shown`, the bound on the improvement, with a solution found after the restart.
+        """Raise `shown`, the lower bound on the restart's improvement, if a solution shows more.
 
-        `other` is the solution found after the restart, and `error` is the estimated relative error
-        of `other`. The lower bound from `other` is a difference of two numbers. The first is the
-        amount by which the objective of `other` is better than the objective of the kept solution,
-        relative to the objective. The second, which is subtracted, is `error`. `shown` becomes this
-        bound if there is no bound yet, or if this bound is larger than the present `shown`.
+        `other` is the solution, found after the restart, and `error` is its estimated relative
+        error. The bound that `other` shows is its relative improvement over the kept solution,
+        minus `error`.
         """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
@@ -702,9 +700,9 @@ class _Reached(Generic[S]):
     def better(self, other: S) -> S:
         """Return the kept solution or `other`, whichever has the better objective.
 
-        `other` is a solution found after the restart; it is returned if the objectives are equal.
-        If the kept solution is returned, it is a copy with the history of `other`, which records
-        all meshes.
+        `other` is a solution found after the restart. It is returned if the objectives are equal.
+        The kept solution is returned as a copy with the history of `other`, because only that
+        history records all meshes.
         """
         if self.gain(other) >= 0.0:
             return other
@@ -714,15 +712,21 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    `ended` is the last solution. `reached` holds the solution that met the tolerance before the
-    refinement was restarted from other controls; it is None if there was no restart. `tolerance` is
-    the required relative error.
+    Without a restart, the result is the last solution. After a restart, the result is the solution
+    from before the restart. Its status and message are changed to state that better controls exist,
+    if the restart found a better solution or no solution at all. A better solution improves the
+    objective by more than the tolerance, after its estimated error is subtracted from the
+    improvement.
 
-    Without a restart, the result is `ended`. After a restart, the result is the solution in
-    `reached`. In two cases, the status and message of this solution are changed to state that
-    better controls exist: a solution after the restart improves the objective by more than the
-    tolerance, even if its estimated error is subtracted from the improvement; or no solution was
-    found after the restart.
+    Parameters
+    ----------
+    ended : Solution or JointSolution
+        The last solution.
+    reached : _Reached or None
+        Solution that met the tolerance before the refinement was restarted from other controls;
+        None without a restart.
+    tolerance : float
+        Required relative error.
     """
     if reached is None:
         return ended
@@ -731,26 +735,23 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the result of a refinement that has to stop after a restart, above its tolerance.
+    """Return the solution from before a restart, if the refinement has to stop after the restart.
 
-    A restart begins the refinement again from better controls. The refinement may have to stop
-    before it meets the tolerance again, for example because it has used up the allowed number of
-    meshes. `reached` holds the solution that met the tolerance before the restart; this solution is
-    returned. Its status and message are changed to state that better controls exist. The solution
-    may itself be the result of an earlier restart, which improved the objective. The estimated
-    error of the returned solution is then at least this relative improvement.
+    A restart begins the refinement again from better controls. The refinement has to stop if, for
+    example, the allowed number of meshes is used up before the tolerance is met again. The result
+    is the solution in `reached`, which met the tolerance before the restart. Its status and message
+    are changed to state that better controls exist. Its estimated error is raised to the relative
+    improvement that an earlier restart brought, if this improvement is larger.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
 
 
 def _doubted(solution: S) -> S:
-    """Return a solution whose status and message state that better controls exist.
+    """Return a copy of a solution whose status and message state that better controls exist.
 
-    By Pontryagin's principle, other controls improve the objective, but the refinement has not
-    found an optimum with them.
-
-    `solution` is the solution, of which a changed copy is returned.
+    By Pontryagin's principle, other controls improve the objective. The refinement has not found an
+    optimum with these controls.
     """
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
@@ -770,9 +771,9 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the relative change of the objective since the previous mesh, infinite on the first.
 
-    If the change since an earlier mesh that met the tolerance is smaller, that smaller change is
-    returned, because the objective on a mesh in between that did not meet the tolerance may be
-    inaccurate.
+    If the change since an earlier mesh that met the tolerance is smaller, the smaller change is
+    returned. The reason is that the objective on the previous mesh may be inaccurate, if the
+    previous mesh did not meet the tolerance.
 
     `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
     is at most `tolerance`. The change is divided by a reference magnitude of the objective, the
@@ -787,11 +788,9 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
     """Return whether refinement should stop because the last two solves gained too little.
 
-    True if each of the last two solves took more than 150 iterations, and the estimated error after
-    the last solve is more than half the error after the solve before.
-
-    `records` has one record per mesh solved so far, in order. The result is False before the third
-    solve.
+    The result is True if each of the last two solves took more than 150 iterations, and the last
+    solve did not halve the estimated error. It is False before the third solve. `records` has one
+    record per mesh solved so far, in order.
     """
     if len(records) < 3:
         return False
@@ -803,10 +802,10 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase, for a message, on the control that changed most since the previous mesh.
 
-    The phrase gives the name of the control, and the time and size of its largest change. It is
-    empty if there is no control, or no solution to compare with. `solution` is the present
-    solution. `before` has one item for each horizon: the solution on the previous mesh, or None on
-    the first mesh and directly after a restart.
+    The phrase gives the name of the control, and the time and size of its largest change. The
+    phrase is empty if there is no control, or no solution to compare with. `solution` is the
+    present solution. `before` has one item for each horizon: the solution on the previous mesh, or
+    None on the first mesh and directly after a restart.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

@@ -36,7 +36,7 @@ class RefinementOptions:
     min_degree, max_degree : int
         Lowest degree to which an element's degree is lowered, and highest to which it is raised.
     smooth_decay : float
-        Decrease of the Legendre coefficients of the solution, in decades per degree, above which
+        Least decrease of the solution's Legendre coefficients, in decades per degree, with which
         the solution counts as smooth in an element. The degree of the element is then raised;
         otherwise the element is split.
     smallest_width : float
@@ -44,26 +44,26 @@ class RefinementOptions:
     max_points : int
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        Tolerances for the simulation of the controls in open loop (without feedback): on violations
-        of limits between the collocation points, on the deviation of the final states, and on the
-        error of the states between the points.
+        Tolerances of a flight that applies the controls without feedback. There are tolerances on
+        violations of limits between the collocation points, on the deviation of the final states,
+        and on the error of the states between the points.
     damping : float
-        Strength of the penalty on the distance between the controls and the controls on the
-        previous mesh. Only controls that enter linearly are penalised. If a control differs by its
-        whole range, the penalty is `damping` times the tolerance times the objective.
+        Strength of the penalty on changes of the controls since the previous mesh. Only controls
+        that enter linearly are penalised. If a control changes by its whole range, the penalty is
+        `damping` times the tolerance times the objective.
     limits_move : bool
-        Whether the caller expects many junctions: times along the trajectory at which a limit
-        becomes active or inactive. Most junctions then hardly affect the objective. If true,
-        elements are split at junctions only after all errors meet the tolerance, and each solve
-        reduces the complementarity gap (the error that Ipopt's barrier leaves in the objective)
-        only to a fraction of the error on the previous mesh.
+        Whether the caller expects many junctions: times at which a limit becomes active or
+        inactive. If there are many, most of them hardly affect the objective. If true, elements are
+        split at junctions only after all errors meet the tolerance. Each solve then reduces the
+        complementarity gap (the error that Ipopt's barrier leaves in the objective) only to a
+        fraction of the error on the previous mesh.
     on_mesh : callable, optional
-        Called with the solution on each finished mesh, its error estimate and history included. If
-        it returns False, the refinement ends with the status interrupted, and with the solution on
-        the most accurate mesh.
+        Called after each finished mesh with the solution, which includes error estimate and
+        history. If the function returns False, the refinement is interrupted. The result is then
+        the solution on the most accurate mesh.
     known : Solution, optional
-        Converged solution for the same parameters, from which the refinement continues. If it is
-        also the warm start and its mesh is the first mesh, this mesh is not solved again.
+        Converged solution for the same parameters, from which the refinement continues. With a warm
+        start and the mesh of this solution as first mesh, the first mesh is not solved again.
     """
 
     first_elements: int = 10
@@ -84,18 +84,14 @@ class RefinementOptions:
     def breach_between_points(self) -> float:
         """Largest relative violation of a bound that is allowed between the collocation points.
 
-        The violation is relative to max(1, abs(bound)). If this value is finite, solves with a warm
-        start impose the bounds between the points as well, up to this violation. If this value is
-        infinite, bounds are imposed at the points only.
+        The violation is relative to max(1, abs(bound)). Solves with a warm start impose the bounds
+        between the points as well, up to this violation. If the value is infinite, bounds are
+        imposed at the points only.
 
-        The value is finite if three conditions hold: `allowance` sets no tolerance on the error of
-        the states; `limits_move` is true, which means that many limits are expected to become
-        active or inactive along the trajectory; and `allowance` tolerates positive violations of
-        the bounds of controls and of other limits. Otherwise the value is infinite.
-
-        With a tolerance on the error of the states, bounds between the points need not be imposed,
-        because a later simulation corrects the controls by feedback and shows violations between
-        the points.
+        The value is finite if `limits_move` is true and `allowance` tolerates violations both of
+        control bounds and of other limits. There is one exception: with a tolerance on the error of
+        the states in `allowance`, the value is infinite. A later simulation then corrects the
+        controls by feedback, and shows violations between the points.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -156,8 +152,8 @@ class _Piece:
         Error of the element of the present mesh from which this element was made; for a merged
         element, the predicted error.
     is_changed : bool
-        True for an element that was refined, and for an element that only keeps its degree because
-        `Marks.kept` lists it. These elements are not merged with their neighbours.
+        Whether the element was refined, or must keep its degree (see `Marks.kept`). Such an element
+        is not merged with its neighbours.
     """
 
     end: float
@@ -177,9 +173,9 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether the controls are expected to reach their limits continuously, with a jump of the
-        slope only (a kink). A control that enters the equations linearly is expected to jump
-        instead.
+        Whether the controls are expected to have kinks: a control reaches its limit continuously,
+        and only its slope jumps. A control that enters the equations linearly is expected to jump
+        itself.
     """
 
     coarse: frozenset[int]
@@ -239,12 +235,23 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an element as it is kept for the next mesh, with its degree lowered if possible.
+    """Return an element of the next mesh that is not refined, with its degree lowered if possible.
 
-    The degree is lowered only if the element's error is far below the tolerance, and as long as the
-    highest Legendre coefficients of the states are negligible. `e` is the index of the element in
-    the mesh of `solution`, and `error` its estimated relative error. `tolerance` is the required
-    relative error; `options` limits the degree from below.
+    The degree is lowered only if the element's error is far below the tolerance. It is lowered as
+    long as the highest Legendre coefficients of the states are negligible.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution on the present mesh.
+    e : int
+        Index of the element.
+    error : float
+        Estimated relative error of the element.
+    tolerance : float
+        Required relative error.
+    options : RefinementOptions
+        Settings with the lowest allowed degree.
     """
     mesh = solution.mesh
     degree = mesh.degrees[e]
@@ -289,16 +296,18 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Return the elements into which an element with a jump or kink of a control is split.
 
-    The jump or kink is enclosed by a sliver, a narrow element of degree 1 with one collocation
-    point. The result is the element before the sliver, the sliver, and the element after the
-    sliver. If the jump is near an end of the split element, the result is two elements, of which
-    the one at that end has degree 1.
+    The jump or kink is enclosed by a sliver: a narrow element of degree 1 with one collocation
+    point. The result is three elements: one before the sliver, the sliver, and one after the
+    sliver. If the jump is near an end of the split element, the sliver extends to that end, and the
+    result is two elements.
 
-    The control is constant in the sliver: if the control satisfies its limits at the collocation
-    point, it satisfies them in the whole sliver. The error of the states decreases with the square
-    of the sliver's width. If a neighbour of the element already has degree 1, the neighbour is a
-    sliver from an earlier mesh, which has not enclosed the whole jump. The element is then split
-    into three equally wide elements instead.
+    The control is constant in the sliver. If it satisfies its limits at the collocation point, it
+    satisfies them in the whole sliver. The error of the states decreases with the square of the
+    sliver's width.
+
+    If a neighbour of the element has degree 1, the neighbour is a sliver from an earlier mesh that
+    has not enclosed the whole jump. The element is then split into three equally wide elements
+    instead.
 
     Parameters
     ----------
@@ -331,18 +340,20 @@ def _finer(
     tolerance: float,
     options: RefinementOptions,
 ) -> list[_Piece]:
-    """Return the elements of the next mesh that replace an element whose error is too large.
+    """Return the elements of the next mesh that replace an element to be refined.
 
-    An element that is too narrow to be split is kept unchanged. An element is split if a control is
-    clipped at its limit there, or if the largest error of the element is due to a control switch or
-    to bounds imposed between the collocation points. If the largest error is the violation of a
-    limit between the points, the element is split if `options.limits_move` is true (many limits are
-    expected to become active or inactive), or if the states are nearly straight lines. An element
-    whose errors meet the tolerance, but in which a limit becomes active or inactive, is also split.
+    An element that is too narrow to be split is kept unchanged. Any other element is split in each
+    of these cases:
 
-    In all other cases, the smoothness of the solution decides: if the solution is smooth in the
-    element, and the necessary degree is allowed, the result is one element with a higher degree; if
-    not, the element is split.
+    - A control is clipped at its limit in the element.
+    - The largest error of the element is due to a control switch.
+    - The largest error is due to bounds imposed between the collocation points.
+    - The largest error is the violation of a limit between the points, and the states are nearly
+      straight lines or `options.limits_move` is true (many limits become active or inactive).
+    - All errors meet the tolerance, but a limit becomes active or inactive in the element.
+
+    In all other cases, the degree of the element is raised if the solution is smooth in the element
+    and the necessary degree is allowed. If not, the element is split.
 
     Parameters
     ----------
@@ -393,8 +404,8 @@ def _finer(
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
     """Split an element into `count` equally wide elements of the given degree.
 
-    `e` is the index of the element in `mesh`, and `size` its error, which is recorded for each
-    part.
+    `e` is the index of the element in `mesh`. `size` is the error of the element; each part is
+    recorded with this error.
     """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
@@ -404,11 +415,23 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    `pieces` are the elements of the next mesh before merging, from left to right; the result is the
-    same mesh with merged elements. The predicted error of a merged element must be far below
-    `tolerance`, the required relative error. Elements that were refined for the next mesh, or whose
-    degree must not be lowered, are not merged. A boundary between two elements is kept if the
-    problem of `solution`, the solution on the present mesh, requires an element boundary there.
+    The predicted error of a merged element must be far below the tolerance. Elements that were
+    refined for the next mesh, or whose degree must not be lowered, are not merged. Element
+    boundaries that the problem requires are kept.
+
+    Parameters
+    ----------
+    pieces : list of _Piece
+        Elements of the next mesh before merging, from left to right.
+    solution : Solution
+        Solution on the present mesh.
+    tolerance : float
+        Required relative error.
+
+    Returns
+    -------
+    list of _Piece
+        Elements of the next mesh after merging, from left to right.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
@@ -432,10 +455,10 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the states' Legendre coefficients in an element.
 
-    The coefficients are those of the polynomials of the states in the element with index `e`. Each
-    is divided by the magnitude of its state over the horizon. Item k of the result, shape (degree +
-    1,), is the largest magnitude over all states for the Legendre polynomial of degree k. The
-    decrease of the result with k measures how smooth the solution is.
+    In the element with index `e`, each state is a polynomial. Its Legendre coefficients are divided
+    by the magnitude of the state over the horizon. Item k of the result, shape (degree + 1,), is
+    the largest magnitude of degree k over all states. The faster the result decreases with k, the
+    smoother is the solution.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -450,12 +473,11 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
 
-    The integrands are those of all integrals over time in the problem of `solution`. The
-    coefficients are those of the polynomials through the integrands at the collocation points of
-    the element with index `e`. Each coefficient is divided by the largest magnitude of its
-    integrand in the element. Item k of the result, shape (degree,), belongs to the Legendre
-    polynomial of degree k, and is the largest of these quotients' magnitudes over all integrands.
-    The decrease of the result with k measures how smooth the integrands are.
+    The integrands are those of all integrals over time in the problem of `solution`. In the element
+    with index `e`, a polynomial interpolates each integrand at the collocation points. The Legendre
+    coefficients of the polynomial are divided by the largest magnitude of the integrand in the
+    element. Item k of the result, shape (degree,), is the largest magnitude of degree k over all
+    integrands. The faster the result decreases with k, the smoother are the integrands.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
@@ -485,8 +507,8 @@ def _jump(solution: Solution, e: int) -> float | None:
     """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
     `e` is the index of the element. The result is None if no control jumps. It is also None if the
-    problem requires one of the element's two boundaries (for example, where a parameter jumps),
-    because the jump is then at that boundary.
+    problem requires an element boundary at one end of the element, for example because a parameter
+    jumps there. The control then jumps at that boundary.
     """
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():

@@ -26,23 +26,23 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
     by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
     the switch, H+. This changes the states after the switch. The costates are the derivatives of
-    the objective with respect to the states, so that dJ/ds = H- - H+. At the optimal switch the
+    the objective with respect to the states. Therefore dJ/ds = H- - H+. At the optimal switch the
     Hamiltonian does not jump (Weierstrass and Erdmann).
 
     A mesh determines the element in which the control switches, but not the time of the switch
-    within the width w of the element: the polynomials of the element, or the single point of a
-    sliver (a narrow element cut around a switch), may put the switch anywhere in the element. A
-    wrong time is noticed neither by the residuals of the equations between the points, nor by
-    a comparison with the solution on the previous mesh, which may have had the same sliver. The
-    jump of the Hamiltonian decreases towards the optimal switch, which is at most w away, so that J
-    is too large by at most |H- - H+| w.
+    within the element. The polynomials of the element may put the switch anywhere in its width w.
+    So may the single collocation point of a sliver (a narrow element cut around a switch). The
+    residuals of the equations between the points do not show a wrong time. A comparison with the
+    previous mesh does not show it either, because that mesh may have had the same sliver. The jump
+    of the Hamiltonian decreases towards the optimal switch, which is at most w away. J is therefore
+    too large by at most |H- - H+| w.
 
     If an equation depends on time explicitly, the Hamiltonian changes without a switch. The
     Hamiltonians of two neighbouring points are therefore compared at equal times: at the time of
     the first point, and at the time of the second point. A jump between two elements counts for the
-    narrower element, which was cut for that jump. Costates are computed in two ways: directly as
-    multipliers, and by integration through the element. Where the polynomials cannot follow the
-    costates, the two results differ; the smaller jump of the Hamiltonian then counts.
+    narrower element, which was cut for that jump. The costates are computed in two ways: directly
+    as multipliers, and by integration through the element. The two results differ where the
+    polynomials cannot follow the costates. The smaller jump of the Hamiltonian then counts.
 
     Parameters
     ----------
@@ -52,8 +52,9 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements,)
-        Upper bounds, in units of the objective. Zero in elements where no limit on an algebraic
-        variable becomes active or inactive, or no algebraic variable jumps.
+        Upper bounds, in units of the objective. Zero in elements in which no limit on an algebraic
+        variable becomes active or inactive, and in elements in or beside which no algebraic
+        variable jumps.
     """
     mesh, chosen = solution.mesh, switch_elements(solution) & _jumping_elements(solution)
     jumps = np.zeros((2, mesh.elements))
@@ -86,8 +87,8 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which an algebraic variable jumps.
 
-    A variable jumps if its values at the points of the element, and at one point on either side,
-    differ by more than a quarter of the variable's range.
+    A variable jumps if its largest and smallest values differ by more than a quarter of its range.
+    The values are taken at the points of the element, and at one point on either side.
     """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
