@@ -40,18 +40,18 @@ S = TypeVar("S", bound=Outcome)
 class _WholeSolve(Search[S], Generic[S]):
     """Solve from a warm start, and from the guess if the solve from the warm start is too slow.
 
-    These two ways to solve are solution strategies; the base class `Search` tries them in order.
+    These two ways to solve are solution strategies, which the base class `Search` tries in order.
 
     Attributes
     ----------
     solve : callable
-        Function that solves the problem once from a starting point, with mesh refinement if asked
-        for: (start, progress) -> solution. It calls its argument `progress` at each iteration.
+        (start, progress) -> solution. Solves the problem once from the starting point `start`, with
+        mesh refinement if the caller asked for it. Calls `progress` at each iteration.
     start : Start
         Warm start and guess that the caller gave.
     known : ColdStart, optional
-        Iterations that an earlier solve from the guess took. The solve from the warm start may take
-        no more iterations than these, its budget; if None, this solve has no budget.
+        Iterations that an earlier solve from the guess took. They are the budget of the solve from
+        the warm start, which may not take more. None for no budget.
     tolerance : float
         Tolerance of the mesh refinement, 0 for a single mesh.
     progress : callable or None
@@ -74,7 +74,7 @@ class _WholeSolve(Search[S], Generic[S]):
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition `fact` of a strategy is true at this stage of the search.
+        """Return whether `fact`, a condition for trying a solution strategy, is true at present.
 
         `Fact.WARM_START` is true if the caller gave a warm start. `Fact.COLD_FAILED` is true if the
         solve from the warm start exceeded its budget, and the solve from the guess that followed
@@ -140,33 +140,32 @@ def within_budget(
 ) -> S:
     """Solve from a warm start within a budget of iterations; beyond the budget, from the guess.
 
-    A warm start is useful only if it is faster than a solve from the guess (cold start). On its
-    first mesh it may take as many iterations as the cold start took on the first mesh, and on all
-    meshes together as many as the cold start took on all meshes. These numbers are the budget. If
-    the solve from the warm start exceeds the budget, the problem is solved from the guess. If the
-    solve from the guess fails, the solve from the warm start is continued from its last iterate,
-    without a budget.
+    A warm start is useful only if it is faster than a solve from the guess (cold start). The budget
+    is therefore the number of iterations that the cold start took: one number for the first mesh,
+    and one for all meshes together. If the solve from the warm start exceeds one of these numbers,
+    the problem is solved from the guess. If the solve from the guess fails, the solve from the warm
+    start is continued from its last iterate, without a budget.
 
     Parameters
     ----------
     solve : callable
-        Function that solves the problem once from a starting point, with mesh refinement if asked
-        for: (start, progress) -> solution. It calls its argument `progress` at each iteration.
+        (start, progress) -> solution. Solves the problem once from the starting point `start`, with
+        mesh refinement if the caller asked for it. Calls `progress` at each iteration.
     start : Start
-        Warm start and guess; the warm start contains the recorded iterations of the cold start.
+        Warm start and guess. The warm start may contain the recorded iterations of the cold start.
     tolerance : float or None
         Tolerance of the mesh refinement. The recorded iterations are a budget only if they belong
         to the same tolerance.
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
-        Whether the recorded iterations may serve as a budget. They must not if this solve uses
-        several initial points, which take more iterations than one.
+        Whether the recorded iterations may serve as a budget. False if this solve uses several
+        initial points, because several points take more iterations than one.
 
     Returns
     -------
     Solution or JointSolution
-        Result of the last of these solves, converged or not.
+        Result of the solve that was carried out last, converged or not.
     """
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
     known = known if known is not None and known.tolerance == demand else None
@@ -210,8 +209,9 @@ def carried_out(
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
-        Whether the iterations recorded in a warm start are its budget (see `within_budget`); False
-        if the solve uses several initial points, which take more iterations than one.
+        Whether the iterations recorded in a warm start limit the solve from it (see
+        `within_budget`). False if the solve uses several initial points, because several points
+        take more iterations than one.
 
     Returns
     -------
@@ -254,8 +254,8 @@ def _finished_of(finished: list[S], ended: S) -> S:
     ----------
     finished : list of Solution or JointSolution
         Converged solutions on the meshes of the refinement. A solve may leave out conditions
-        (constraints at single times) of the problem, because they seem to follow from the others.
-        The result is never a solution in `finished` from such a solve.
+        (constraints at single times), because they seem to follow from others. Solutions of such
+        solves are ignored.
     ended : Solution or JointSolution
         Result with which the refinement ended.
 
@@ -279,10 +279,9 @@ def _finished_of(finished: list[S], ended: S) -> S:
 
 
 def _in_time(solution: S, deadline: Effort) -> S:
-    """Return a solution, with a message on the time limit if that limit interrupted the solve.
+    """Add a message on the time limit to a solution whose solve was interrupted by that limit.
 
-    `solution` is the result of the solve; it is returned unchanged if the time limit did not
-    interrupt it. `deadline` measured the wall-clock time of the solve.
+    `deadline` measured the wall-clock time of the solve. Any other solution is returned unchanged.
     """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution

@@ -61,7 +61,7 @@ class ColdStart:
         Raises
         ------
         TranscriptionError
-            If that array does not hold three finite real numbers.
+            If the array "cold_start" does not hold three finite real numbers.
         """
         if "cold_start" not in arrays:
             return None
@@ -83,14 +83,14 @@ class WarmStart:
     trajectory : Trajectory
         States, algebraic variables and static variables.
     lower, upper : Trajectory
-        Multipliers of the lower and upper bounds of these variables, arranged in the same way as
-        the variables in `trajectory`.
+        Multipliers of the lower and upper bounds of the variables in `trajectory`, arranged like
+        these variables.
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
-        Multipliers of all other constraints. These are the conditions, and the definitions of those
-        integrals that are unknowns of the nonlinear program. A condition is a constraint on values
-        at single times, such as an end condition, instead of over the whole horizon.
+        Multipliers of all other constraints. Most of them are conditions: constraints on values at
+        single times, such as an end condition. The others define those integrals that are unknowns
+        of the nonlinear program.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -140,18 +140,19 @@ class WarmStart:
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
         """Interpolate the warm start to another mesh and horizon, at equal physical times.
 
-        A multiplier belongs to a constraint at a collocation point. Divided by the duration that
-        the point represents (its quadrature weight times the horizon), the multipliers of a
-        constraint are samples of a function of time, and that function is interpolated. Multipliers
-        of bounds are kept non-negative.
+        A multiplier belongs to a constraint at a collocation point. It is proportional to the
+        duration that the point represents: its quadrature weight times the horizon. Multipliers are
+        therefore divided by these durations, interpolated in time, and multiplied by the durations
+        of the new points. Multipliers of bounds are kept non-negative.
 
         Parameters
         ----------
         mesh : Mesh
             Mesh of the result.
         was, now : Timeline
-            Mappings to physical time on the horizon of this warm start, and on the horizon of the
-            result. The horizon of the result must not extend beyond the horizon of this warm start.
+            Mappings between fractions of a horizon and physical times: `was` for the horizon of
+            this warm start, `now` for the horizon of the result. The horizon of the result must not
+            extend beyond the horizon of this warm start.
 
         Returns
         -------
@@ -210,7 +211,7 @@ class WarmStart:
         Raises
         ------
         TranscriptionError
-            If an array is missing or has another type, shape or content; the message names the
+            If an array is missing or has a wrong type, shape or content; the message names the
             array.
         """
         mesh = Mesh.from_arrays(arrays)
@@ -343,11 +344,11 @@ class Start:
 
     @classmethod
     def of(cls, given: Any, guess: Any = None) -> Start:
-        """Return the `Start` of a solve from its arguments `warm_start` and `guess`.
+        """Make a starting point from the arguments `warm_start` and `guess` of a solve.
 
         `given` is the argument `warm_start`: None, a warm start, or an object with an attribute
-        `warm_start`, such as a solution or a flight plan. `guess` is the argument of that name, the
-        initial values of the variables.
+        `warm_start`, such as a solution or a flight plan. `guess` has the initial values of the
+        variables.
         """
         return cls(warm=getattr(given, "warm_start", given), guess=guess)
 

@@ -37,8 +37,8 @@ class Scope(Enum):
 class Fact(Enum):
     """Condition that must be true before a solution strategy is tried.
 
-    An example is that the caller gave a warm start. The search that uses the strategy evaluates the
-    condition; see `Search.holds`.
+    An example is that the caller gave a warm start. The method `Search.holds` evaluates the
+    condition.
     """
 
     #: A warm start is given.
@@ -122,11 +122,10 @@ class Strategy:
         Whether the damping of the controls (a penalty on their distance from the controls of the
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
-        Limit of iterations of the solve on each mesh; infinite for no limit. None means that the
-        limits are taken from the warm start, which may contain a record of an earlier solve from
-        the guess. The record has two numbers of iterations, of the first mesh and of all meshes
-        together, and the solve from the warm start may exceed neither. Without a record, this solve
-        has no limit.
+        Limit of iterations of the solve on each mesh; infinite for no limit. If None, the warm
+        start sets two limits: one for the first mesh, and one for all meshes together. These are
+        the numbers of iterations that an earlier solve from the guess took. If the warm start has
+        no record of them, there is no limit.
     times : int
         How often the strategy may be tried.
     """
@@ -212,8 +211,8 @@ S = TypeVar("S", bound=Any)
 class Search(ABC, Generic[S]):
     """Loop that tries solution strategies one after another until one of them succeeds.
 
-    A search tries the strategies of one part of a solve (see `Scope`: whole solve, first mesh, next
-    mesh or restart), in the order in which the table of this module lists them.
+    A search tries the strategies of one part of a solve: whole solve, first mesh, next mesh or
+    restart (see `Scope`). They are tried in the order in which the table `STRATEGIES` lists them.
 
     Subclasses define how a strategy is carried out, when its conditions are true, and which results
     end the search.
@@ -221,9 +220,9 @@ class Search(ABC, Generic[S]):
 
     @abstractmethod
     def holds(self, fact: Fact) -> bool:
-        """Return whether the condition `fact` of a strategy is true at this stage of the search.
+        """Return whether `fact`, a condition for trying a solution strategy, is true at present.
 
-        The condition is checked immediately before the strategy is tried.
+        The condition is evaluated immediately before the strategy is tried.
         """
 
     @abstractmethod
@@ -264,9 +263,9 @@ def first_success(scope: Scope, search: Search[S]) -> S:
     Returns
     -------
     Solution or JointSolution
-        The final result. If no result is final, the result that the method `failure` of `search`
-        chooses to report: by default the result of the last strategy. If several strategies were
-        tried, the attribute `tried` of the returned solution records the name and outcome of each.
+        The final result. If no result is final, the method `failure` of `search` chooses the
+        result, by default that of the last strategy. If several strategies were tried, the
+        attribute `tried` of the result records the name and outcome of each.
     """
     tried: list[str] = []
     last: Any = None

@@ -29,19 +29,19 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
-    The declared objective is that of the Pyomo model, not negated if it is maximised. For a
-    constraint, the derivative is with respect to its constant side; for a bound, with respect to
-    the value of the bound. For a state it is the costate: the derivative with respect to the
+    The objective is taken as the Pyomo model declares it, whether minimised or maximised. For a
+    constraint, the derivative is with respect to its constant side. For a bound, it is with respect
+    to the value of the bound. For a state, it is the costate: the derivative with respect to the
     value of the state at one time.
 
     Attributes
     ----------
     over_time : dict
-        For each component over time, by name: the derivative as a function of time. For constraints
-        and bounds it is per unit of time, for states it is the costate. The argument of the
-        function is a time within the range of the model's continuous set.
+        Derivatives with respect to components over time: name -> function of time. The argument of
+        the function is a time within the range of the model's continuous set. The derivative is per
+        unit of time for constraints and bounds, and is the costate for states.
     once : dict
-        For each component that does not depend on time, by name: the derivative.
+        Derivatives with respect to components that do not depend on time: name -> derivative.
     """
 
     over_time: dict[str, Callable[[float], float]] = field(default_factory=dict)
@@ -51,9 +51,9 @@ class Sensitivities:
         """Add the derivative with respect to a component over time, as a function of time.
 
         `name` is the name of the component, and `price` the function: time -> derivative of the
-        objective. If the component has a function already, the sum of the two functions is stored:
-        a limit with a lower and an upper side has one function for each side, of which at most one
-        is not zero at any time.
+        objective. If a function is stored for the component already, `price` is added to it. This
+        happens for a limit with a lower and an upper side: each side has its own function, and at
+        most one of the two is not zero at any time.
         """
         held = self.over_time.get(name)
         if held is None:
@@ -67,10 +67,14 @@ def load_suffixes(*solutions: Solution) -> None:
 
     The suffixes hold derivatives of the objective that the Pyomo model declares: with respect to
     the constant side of a constraint (`dual`), to a bound of a variable (`rc`), and to a state
-    (`costate`). For a constraint or bound over time, the derivative is per unit of time.
-    `solutions` are the solutions from which the derivatives are computed: a single one; or, for a
-    model with several horizons, one per horizon and one for the constraints that couple the
-    horizons. Nothing is done for a problem that was pickled, which has no model.
+    (`costate`). For a constraint or bound over time, the derivative is per unit of time. A pickled
+    problem has no model; nothing is done for it.
+
+    Parameters
+    ----------
+    *solutions : Solution
+        Solutions from which the derivatives are computed: a single solution or, for a model with
+        several horizons, one per horizon and one for the constraints that couple the horizons.
     """
     source = solutions[0].problem.source
     if not isinstance(source, LiveModel):
@@ -90,8 +94,8 @@ def load_suffixes(*solutions: Solution) -> None:
 def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
     """Return the objective's derivatives that the suffixes store, by the name of the suffix.
 
-    The names are "dual", "rc" and "costate"; `solution` has the multipliers from which the
-    derivatives are computed.
+    The names are "dual", "rc" and "costate". The derivatives are computed from the multipliers of
+    `solution`.
     """
     problem = solution.problem
     dual, reduced = _sensitivities(solution)
@@ -107,9 +111,19 @@ def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
 def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
     """Return the costate of a state for the declared objective, as a function of time.
 
-    The argument of the function is a time within the range of the model's continuous set. `state`
-    is the position of the state among the states of the nonlinear program; `sign` is -1 if the
-    objective is maximised, and 1 otherwise.
+    Parameters
+    ----------
+    solution : Solution
+        Solution with the costates.
+    state : int
+        Index of the state among the states of the nonlinear program.
+    sign : float
+        -1 if the objective is maximised, and 1 otherwise.
+
+    Returns
+    -------
+    callable
+        Time within the range of the model's continuous set -> costate.
     """
     return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
 
@@ -117,10 +131,9 @@ def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], f
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
     """Return the multiplier of a constraint or bound per unit of time, as a function of time.
 
-    The suffixes store multipliers over time as such functions. `density` are the values of the
-    multiplier per unit of time at the collocation points of `solution`, shape (n_points,); the
-    function is the piecewise polynomial through them. The argument of the function is a time within
-    the range of the model's continuous set.
+    The function is a polynomial in each element. Its argument is a time within the range of the
+    model's continuous set. `density` has the values of the function at the collocation points of
+    `solution`, shape (n_points,).
     """
 
     def at(time: float) -> float:
@@ -174,9 +187,9 @@ def _widths(solution: Solution) -> FloatArray:
     """Return the duration that each collocation point represents, shape (n_points,).
 
     The points are those of the mesh of `solution`. The duration of a point is its quadrature weight
-    times the derivative of physical time with respect to the fraction of the horizon. The
-    derivative is the length of the horizon; only if the solve determines times inside the horizon,
-    each phase between these times has its own derivative. The multiplier of a constraint at the
+    times the derivative of physical time with respect to the fraction of the horizon. This
+    derivative is normally the length of the horizon. If the solve determines times inside the
+    horizon, each phase between these times has its own derivative. A constraint's multiplier at a
     point, divided by the duration, is a derivative of the objective per unit of time.
     """
     mesh = solution.mesh
@@ -188,11 +201,19 @@ def _assign_bounds(
 ) -> None:
     """Add the objective's derivatives with respect to bounds to `dual` and `reduced`, in place.
 
-    The derivatives are computed from the multipliers of `solution`. `sign` is -1 if the objective
-    is maximised, and 1 otherwise. The Pyomo model may declare a bound with a variable; the
-    objective's derivative with respect to this bound is added to `reduced`, for the suffix `rc`.
-    The model may also declare a bound by a constraint on a single variable; the derivative with
-    respect to this bound is added to `dual`, for the suffix `dual`.
+    The derivatives are computed from the multipliers of the solution.
+
+    Parameters
+    ----------
+    solution : Solution
+        Solution with the multipliers.
+    sign : float
+        -1 if the objective is maximised, and 1 otherwise.
+    dual : Sensitivities
+        Receives the derivatives for bounds that the Pyomo model declares by a constraint on a
+        single variable.
+    reduced : Sensitivities
+        Receives the derivatives for bounds that the Pyomo model declares with a variable.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled

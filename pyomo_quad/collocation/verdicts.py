@@ -44,9 +44,9 @@ def without_bound(solution: Solution) -> Solution:
 def with_surplus(solution: Solution) -> Solution:
     """Add a note to a successful solution of a model with more equations than free unknowns.
 
-    The note states that some of the model's equations follow from others, so that the multipliers
-    are not unique. `solution` is the solution; the result is a copy with the note. Without surplus
-    equations, or if the solve was not successful, `solution` is returned unchanged.
+    The note states that some of the equations follow from others, and that the multipliers are not
+    unique. The result is a copy of `solution` with the note. Without surplus equations, or if the
+    solve was not successful, `solution` is returned unchanged.
     """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
@@ -62,10 +62,19 @@ def violation_of(
 ) -> LeastViolation | None:
     """Find the point of least constraint violation near the last iterate of a failed solve.
 
-    `failed` is the result of that solve, and `options` are the settings of Ipopt for the
-    minimisation of the violation. The function `progress`, if given, is called at each iteration of
-    the minimisation, and stops it by returning False. The result is None if the last iterate or its
-    constraints are not finite.
+    Parameters
+    ----------
+    failed : Solution
+        Result of the failed solve.
+    options : SolverOptions
+        Settings of Ipopt for the minimisation of the violation.
+    progress : callable or None
+        Called at each iteration of the minimisation; returning False stops it.
+
+    Returns
+    -------
+    LeastViolation or None
+        The point; None if the last iterate or its constraints are not finite.
     """
     z = failed.unknowns
     if not np.all(np.isfinite(z)) or not np.all(np.isfinite(failed.program.constraints(z))):
@@ -78,11 +87,18 @@ def violation_of(
 def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | None) -> Solution:
     """Return a failed solution with a verdict on the feasibility of its problem.
 
-    The point of least constraint violation near the last iterate of `failed` is computed by Ipopt
-    with the settings `options`. The violation there decides whether the status becomes infeasible,
-    and which equations the message names. The function `progress`, if given, is called at each
-    iteration of this computation; if it returns False, the computation stops and the status becomes
-    interrupted.
+    Ipopt computes the point of least constraint violation near the last iterate. The violation at
+    this point decides whether the status becomes infeasible, and which equations the message names.
+
+    Parameters
+    ----------
+    failed : Solution
+        Result of the failed solve.
+    options : SolverOptions
+        Settings of Ipopt for this computation.
+    progress : callable or None
+        Called at each iteration of this computation. If it returns False, the computation stops,
+        and the status becomes interrupted.
     """
     found = violation_of(failed, options, progress)
     if found is not None and found.result.status is Status.INTERRUPTED:
@@ -175,8 +191,8 @@ _UNBOUNDED = 1e12
 def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
     """Return the names of the equations over time whose multipliers have diverged.
 
-    Diverging multipliers show that no constraint qualification holds at the solution, so that the
-    optimality conditions are meaningless there.
+    Diverging multipliers show that no constraint qualification holds at the solution. The
+    optimality conditions are then meaningless.
     """
     program, scaling = solution.program, solution.scaling
     if not program.n_points:

@@ -253,12 +253,12 @@ def _wrapped(angle: FloatArray) -> FloatArray:
 
 
 def origin_of(text: str) -> GeodeticOrigin:
-    """Convert the option `--origin`, LAT,LON,ALT in degrees and metres, to a position on earth.
+    """Convert a text of latitude, longitude [deg] and altitude [m] to a position on earth.
 
     Parameters
     ----------
     text : str
-        Value of the option, such as "47.3977,8.5456,488".
+        Value of the command-line option ``--origin``, such as "47.3977,8.5456,488".
 
     Raises
     ------
@@ -309,9 +309,9 @@ class Export:
     yaw_error_rad : float or None
         Largest deviation from the plan's heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the scenario states no risk (`mission.risk`, the permitted probability that a flight
-        breaks a limit). The plan then has no margins from its limits, and a controller that
-        corrects disturbances may break a limit.
+        Whether the scenario states no `mission.risk`, the permitted probability that a flight
+        breaks a limit. Without this risk, the plan has no margins from its limits. A controller
+        that corrects disturbances may then break a limit.
     """
 
     path: str
@@ -336,16 +336,17 @@ class _Writer:
     Attributes
     ----------
     write : callable
-        Function that writes a file. Its arguments are the plan's motion, the path, the value of the
-        option `option` and, for a geodetic format, the origin. Its result is four items: the number
-        of parts of the file, what the parts are (such as "waypoints"), the largest distance from
-        the plan [m], and the largest deviation from the plan's heading [rad] or None.
+        Function that writes a file: (motion, path, accuracy) -> (number of parts, name of the
+        parts, distance, heading). The accuracy is the value of the option `option`. A geodetic
+        format has the origin as fourth argument. The name of the parts is, for example,
+        "waypoints". Distance [m] and heading [rad] are the largest deviations from the plan; the
+        heading is None if the autopilot chooses it.
     ending : str
         Ending of the default file name.
     option : str
         Name of the command-line option that sets the accuracy: ``--path-error`` or ``--rate``.
     default : float
-        Value of this option if the user does not give it.
+        Value of the option if the user does not give it.
     is_on_globe : bool
         Whether the format is geodetic: positions are latitudes and longitudes, which depend on an
         origin.
@@ -415,9 +416,9 @@ def export_plan(
     Raises
     ------
     ScenarioError
-        If there is no verified plan, the simulation does not confirm the plan, the plan lacks a
-        state that the format needs, an option is not allowed, a limit of the format is exceeded, or
-        the library that writes the format is not installed. Nothing is written.
+        If there is no verified plan, or the simulation does not confirm the plan. Also if the plan
+        lacks a state that the format needs, an option is not allowed, a limit of the format is
+        exceeded, or the library that writes the format is not installed. Nothing is written.
     OutputError
         If the output cannot be written.
 

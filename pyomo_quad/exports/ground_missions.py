@@ -75,15 +75,21 @@ class ImportedMission:
 class _Item:
     """MAVLink command of a ground station's mission, with its seven parameters.
 
-    The attribute `command` is MAVLink's number of the command. The attribute `frame` is the number
-    of the coordinate frame, which defines the level from which the altitude counts. The attribute
-    `params` holds the parameters; a parameter is None if the file does not give it.
-
-    The seventh parameter is normally the altitude [m]. A QGroundControl file may also give the
-    altitude in a separate entry; altitudes above the terrain are read from this entry. The
-    attribute `altitude` is the separate entry [m], or None if the file has no such entry.
-
-    The attribute `where` names file and command in error messages.
+    Attributes
+    ----------
+    where : str
+        Name of file and command for error messages.
+    command : int
+        MAVLink's number of the command.
+    frame : int
+        MAVLink's number of the coordinate frame. The frame defines the level from which the
+        altitude counts.
+    params : tuple of float or None
+        The seven parameters; None for a parameter that the file does not give. The last parameter
+        is normally the altitude [m].
+    altitude : float or None
+        Altitude [m] in a separate entry, which a QGroundControl file may have. Altitudes above the
+        terrain are read from this entry. None if the file has no such entry.
     """
 
     where: str
@@ -132,7 +138,7 @@ class _Place:
     radius : float
         Largest distance at which the place counts as passed [m].
     yaw : float or None
-        Yaw at the place [rad], counter-clockwise from east; None if it is free.
+        Yaw at the place [rad], counter-clockwise from east; None if the yaw is free.
     release : float
         Mass of the payload that is released at the place [kg].
     is_opened_at : bool
@@ -430,7 +436,8 @@ def _place_of(
         because the flight of the scenario ends with hovering above the ground.
     last : _Place or None
         Last place before this command, None at the start of the mission. A command without latitude
-        and longitude takes them from the last place, or from the home position if there is none.
+        and longitude takes both from the last place. If there is no last place, it takes them from
+        the home position.
     notes : Counter of str
         Contents of the file that a scenario cannot represent, to which the function adds.
     """
@@ -506,10 +513,11 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
     item : _Item
         The command.
     place : _Place
-        Place where the vehicle is at this command: the last place to which the mission has made it
-        fly. The function changes the place's time of hover, or whether a gripper is opened there.
+        Last place before the command. A delay adds to its time of hover; a gripper command may mark
+        the place as one where a gripper is opened.
     notes : Counter of str
-        Contents of the file that a scenario cannot represent; any other command is added to them.
+        Contents of the file that a scenario cannot represent. Commands other than a delay or the
+        opening of a gripper are added.
     """
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
@@ -546,9 +554,9 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
 def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str, Any]:
     """Return the scenario's table `mission` (TOML): origin, start, goal, waypoints, rally points.
 
-    Unlike a waypoint, start and goal of a scenario have neither a time of hover nor a radius. They
-    always have a heading. If the file gives the heading of one of them only, both get this heading,
-    so that the vehicle need not turn.
+    Unlike waypoints, the start and the goal of a scenario have neither a time of hover nor a
+    radius, but they always have a heading. If the file gives only one of the two headings, start
+    and goal both get this heading. The vehicle then need not turn.
 
     Parameters
     ----------
@@ -588,9 +596,9 @@ def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str
 def _airspace(read: _File, source: str) -> dict[str, Any]:
     """Return the scenario's table `airspace` (TOML), with the fence of a ground station's mission.
 
-    The inclusion fence, of which there may be only one, becomes the field `keep_in`. Exclusion
-    fences become keep-out zones, field `keep_out`. `read` is the content of the mission file. Error
-    messages begin with the text `source`, the name of the file.
+    The inclusion fence becomes the field `keep_in`; more than one inclusion fence is an error.
+    Exclusion fences become keep-out zones, field `keep_out`. `read` is the content of the mission
+    file. Error messages begin with the text `source`, the name of the file.
     """
     inside: list[list[dict[str, float]]] = []
     zones: list[dict[str, Any]] = []

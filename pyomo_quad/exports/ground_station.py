@@ -92,7 +92,7 @@ class Legs:
         Positions x, y, z at these times [m].
     is_of_mission : ndarray of bool, shape (n,)
         Whether each position is the mission's start, a waypoint of the mission or the goal. An
-        empty array means that this is true of every position.
+        empty array stands for True at every position.
     """
 
     times: FloatArray

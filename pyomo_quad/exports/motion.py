@@ -50,9 +50,9 @@ class ProvenPlan:
         report's table is listed both as a state and as a control, because the table does not
         distinguish states from controls.
     is_paper_plan : bool
-        Whether the scenario states no risk (`mission.risk`, the permitted probability that a flight
-        breaks a limit). The plan then has no margins from its limits, and a controller that
-        corrects disturbances may break a limit.
+        Whether the scenario states no `mission.risk`, the permitted probability that a flight
+        breaks a limit. Without this risk, the plan has no margins from its limits. A controller
+        that corrects disturbances may then break a limit.
     """
 
     mission: Scenario
@@ -78,10 +78,10 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     Raises
     ------
     ScenarioError
-        If there is no plan, the plan is damaged, the plan's status is one of a plan that no
-        simulation has confirmed, or the new simulation does not confirm the plan. The statuses of a
-        confirmed plan are `PlanStatus.VERIFIED`, confirmed to the requested accuracy, and
-        `PlanStatus.USABLE`, confirmed to wider tolerances.
+        If there is no plan, or the plan is damaged, or the plan's status is neither
+        `PlanStatus.VERIFIED` (confirmed by simulation to the requested accuracy) nor
+        `PlanStatus.USABLE` (confirmed to wider tolerances). Also if the new simulation does not
+        confirm the plan.
     """
     place = Path(path)
     if place.is_dir():
@@ -183,10 +183,9 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan's status is one of a plan that no simulation has confirmed, or the new
-            simulation does not confirm the plan. The statuses of a confirmed plan are
-            `PlanStatus.VERIFIED`, confirmed to the requested accuracy, and `PlanStatus.USABLE`,
-            confirmed to wider tolerances.
+            If the plan's status is neither `PlanStatus.VERIFIED` (confirmed by simulation to the
+            requested accuracy) nor `PlanStatus.USABLE` (confirmed to wider tolerances). Also if the
+            new simulation does not confirm the plan.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -204,10 +203,10 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, the plan is damaged, the plan's status is one of a plan that no
-            simulation has confirmed, or the new simulation does not confirm the plan. The statuses
-            of a confirmed plan are `PlanStatus.VERIFIED`, confirmed to the requested accuracy, and
-            `PlanStatus.USABLE`, confirmed to wider tolerances.
+            If there is no plan, or the plan is damaged, or the plan's status is neither
+            `PlanStatus.VERIFIED` (confirmed by simulation to the requested accuracy) nor
+            `PlanStatus.USABLE` (confirmed to wider tolerances). Also if the new simulation does not
+            confirm the plan.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
@@ -257,13 +256,13 @@ class Motion:
             )
 
     def values(self, t: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Evaluate states at times that count from the start of the flight.
+        """Evaluate states at given times.
 
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times [s]. For a time before the start or after the end of the flight, the state at the
-            start or the end is returned.
+            Times since the start of the flight [s]. Before the start and after the end of the
+            flight, the states are constant.
         names : sequence of str
             Names of the states.
 
@@ -275,13 +274,13 @@ class Motion:
         return interpolate(self.mesh, self._states(names), self._fractions(t), with_start=True)
 
     def slopes(self, t: FloatArray, names: Sequence[str]) -> FloatArray:
-        """Evaluate the time derivatives of states at times that count from the start of the flight.
+        """Evaluate the time derivatives of states at given times.
 
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times [s]. For a time before the start or after the end of the flight, the derivative at
-            the start or the end is returned.
+            Times since the start of the flight [s]. At a time before the start, the derivative at
+            the start is returned; at a time after the end, the derivative at the end.
         names : sequence of str
             Names of the states.
 
@@ -414,7 +413,7 @@ _MOST_CHECKED = 20_001
 class PolynomialTrajectory:
     """Piecewise polynomial trajectory of position and yaw, for use in the simulator RotorPy.
 
-    RotorPy needs a trajectory to have the method `update`, which gives the motion at a time.
+    RotorPy calls the method `update` of a trajectory to get the motion at a time.
 
     Parameters
     ----------
@@ -532,8 +531,8 @@ def piece_deviation(
     Returns
     -------
     position, yaw : float
-        Largest distance between the positions that plan and pieces have at the same time [m], and
-        largest difference between their yaw angles [rad].
+        Largest distance [m] between the positions of plan and pieces, and largest difference [rad]
+        between the yaw angles of plan and pieces, at equal times.
     """
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))

@@ -771,9 +771,9 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the relative change of the objective since the previous mesh, infinite on the first.
 
-    If the change since an earlier mesh that met the tolerance is smaller, the smaller change is
-    returned. The reason is that the objective on the previous mesh may be inaccurate, if the
-    previous mesh did not meet the tolerance.
+    The change since an earlier mesh that met the tolerance is returned instead if it is smaller.
+    The objective on the previous mesh may be inaccurate, because that mesh need not have met the
+    tolerance.
 
     `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
     is at most `tolerance`. The change is divided by a reference magnitude of the objective, the

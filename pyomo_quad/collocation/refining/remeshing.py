@@ -62,8 +62,9 @@ class RefinementOptions:
         history. If the function returns False, the refinement is interrupted. The result is then
         the solution on the most accurate mesh.
     known : Solution, optional
-        Converged solution for the same parameters, from which the refinement continues. With a warm
-        start and the mesh of this solution as first mesh, the first mesh is not solved again.
+        Converged solution for the same parameters, from which the refinement continues. If a warm
+        start is given and the first mesh is the mesh of this solution, the first mesh is not solved
+        again.
     """
 
     first_elements: int = 10
@@ -301,9 +302,9 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     sliver. If the jump is near an end of the split element, the sliver extends to that end, and the
     result is two elements.
 
-    The control is constant in the sliver. If it satisfies its limits at the collocation point, it
-    satisfies them in the whole sliver. The error of the states decreases with the square of the
-    sliver's width.
+    The control is constant in the sliver. If the control satisfies its limits at the collocation
+    point, it satisfies them in the whole sliver. The error of the states decreases with the square
+    of the sliver's width.
 
     If a neighbour of the element has degree 1, the neighbour is a sliver from an earlier mesh that
     has not enclosed the whole jump. The element is then split into three equally wide elements
@@ -349,7 +350,8 @@ def _finer(
     - The largest error of the element is due to a control switch.
     - The largest error is due to bounds imposed between the collocation points.
     - The largest error is the violation of a limit between the points, and the states are nearly
-      straight lines or `options.limits_move` is true (many limits become active or inactive).
+      straight lines or `options.limits_move` is true (many limits are expected to become active or
+      inactive).
     - All errors meet the tolerance, but a limit becomes active or inactive in the element.
 
     In all other cases, the degree of the element is raised if the solution is smooth in the element
