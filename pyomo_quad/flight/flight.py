@@ -209,11 +209,12 @@ class Flight(Summarised):
         wall_s : float
             Computing time [s].
         owed_energy_J : float, optional
-            Energy needed to reach the required final state from the flight's final state [J].
+            Energy that the vehicle still needs at the end of the flight to reach the required final
+            state [J]. NaN if it is not known.
         allowed : mapping, optional
-            Name of a limit without its index -> second tolerance on its violation, in the unit of
-            the limit. A limit counts as broken only if its violation exceeds this tolerance and the
-            one that `accuracy` sets.
+            Name of a limit without its index -> additional tolerance on its violation, in the unit
+            of the limit. A limit counts as broken if its violation exceeds both tolerances: this
+            one, and the relative one of `accuracy`.
         accuracy : Accuracy, optional
             Accuracy level, which sets the tolerance on the relative violation of every limit.
         """
@@ -241,8 +242,8 @@ class Flight(Summarised):
 def spans_where(is_inside: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Return the spans of consecutive samples for which a condition is true.
 
-    `is_inside` has a truth value for each sample of a flight. Each span is the index of its first
-    sample, and the index after its last sample.
+    `is_inside` has the truth value of the condition for each sample of a flight. Each span is a
+    pair: the index of its first sample, and the index after its last sample.
     """
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_inside.astype(int), [0]]))).tolist()
     return list(zip(edges[::2], edges[1::2], strict=True))
@@ -281,8 +282,8 @@ def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> 
     """Return whether a violation of a limit exceeds both of its tolerances.
 
     `found` is the violation. `allowed` maps names of limits without their index to tolerances in
-    the unit of the limit (zero for a name that it lacks). `breach` is the tolerance relative to the
-    larger of 1 and the limit.
+    the unit of the limit. The tolerance of a missing name is zero. `breach` is the relative
+    tolerance: it is multiplied by the larger of 1 and the limit.
     """
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
@@ -290,11 +291,11 @@ def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return the difference between final and required value of each state that must reach a value.
+    """Return final minus required value of each state for which a final value is required.
 
-    `state` is the final state of a flight, shape (n_states,). Its entries are in the order of the
-    attribute `state_names` of the vehicle's equations `dynamics`. `wanted` maps names of states to
-    their required final values. The result maps the same names to final minus required value.
+    `state` is the final state of a flight, shape (n_states,), in the order of
+    `dynamics.state_names`. `wanted` maps names of states to their required final values. The result
+    maps the same names to the differences.
     """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}

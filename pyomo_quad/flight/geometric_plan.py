@@ -1,11 +1,12 @@
 """First plan of a mission: a flight along its shortest route, without an optimisation.
 
-The vehicle flies along the lines of the route, smoothed at corners. If the duration is free, its
-speed is at most the speed of least cost in steady flight; otherwise the speed follows from the
-duration. Attitude and rotor speeds follow from the acceleration of this path (differential
-flatness). A simulation under feedback then turns the path into a flight that satisfies the
-equations of motion. The plan spends more energy than the optimum, but it is available before the
-first solve has ended. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to (7).
+The vehicle flies along the lines of the route, smoothed at corners. If the mission prescribes the
+duration, the speed follows from the duration. If the duration is free, the speed is at most the
+speed of least cost in steady flight. Attitude and rotor speeds follow from the acceleration of this
+path (differential flatness). A simulation under feedback then turns the path into a flight that
+satisfies the equations of motion. The plan spends more energy than the optimum, but it is available
+before the first solve has ended. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to
+(7).
 """
 
 from __future__ import annotations
@@ -71,11 +72,11 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    Several paths along the route are tried, with different speeds and accelerations. A path that
-    keeps the limits is simulated under feedback. A simulation confirms the plan along its path if
-    the simulated flight reaches the goal and keeps the limits, to the wide tolerances of a usable
-    plan (the flight may end half a metre from the goal). The search ends when a simulation confirms
-    a plan, or after the third simulation.
+    Several paths along the route are tried, with different speeds and accelerations. Each path that
+    keeps the limits is simulated under feedback. A simulation confirms the plan if the simulated
+    flight reaches the goal and keeps the limits. The tolerances are wide: the flight may end half a
+    metre from the goal. The search for a plan ends when a simulation confirms one, or after the
+    third simulation.
 
     Parameters
     ----------
@@ -86,10 +87,9 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     -------
     Plan or None
         The plan that was simulated last, with the result of the simulation. The error estimate of
-        the plan is the relative difference between its energy and that of steady flight along the
-        route. None if there is no route, if no path keeps the limits and lasts as long as the
-        mission prescribes, if waypoints have prescribed times or headings, or for a user's own
-        model.
+        the plan compares its energy with the energy of steady flight along the route. None if there
+        is no route, or if no path of an allowed duration keeps the limits. Also None for a user's
+        own model, and for waypoints with prescribed times or headings.
     """
     told = mission.told
     if not mission.problems.is_declared or any(
@@ -110,15 +110,31 @@ def _first_usable(
 ) -> Plan | None:
     """Return the first plan along a journey that a simulation confirms as usable.
 
-    A plan is usable if its simulated flight reaches the goal and keeps the limits, to wide
-    tolerances (the flight may end half a metre from the goal). A journey is a route for each leg of
-    the mission. Paths along `journey` with different speeds and accelerations are tried in turn.
-    `fastest` is the greatest speed [m/s]. `least_energy` is the energy of steady flight along the
-    journey [J]; the energy of each plan is compared with it. If all limits that a path breaks are
-    limits of the airspace (zones, fence, floor, ceiling), a path that stays closer to the lines of
-    the route at corners is tried next. A path that breaks no limit is simulated. At most three
-    paths are simulated. If no simulation confirms a plan, the result is the plan simulated last,
-    or None if no path was simulated.
+    A journey is a route for each leg of the mission. A plan is usable if its simulated flight
+    reaches the goal and keeps the limits, to wide tolerances: the flight may end half a metre from
+    the goal.
+
+    Paths with different speeds and accelerations are tried in turn. A path that breaks no limit is
+    simulated. A path that breaks only limits of the airspace (zones, fence, floor, ceiling) is
+    followed by a path that stays closer to the route at corners. At most three paths are simulated.
+
+    Parameters
+    ----------
+    mission : MissionProblem
+        The mission, with its compiled equations.
+    journey : Journey
+        The journey.
+    fastest : float
+        Greatest speed of a path [m/s].
+    least_energy : float
+        Energy of steady flight along the journey [J], with which the energy of each plan is
+        compared.
+
+    Returns
+    -------
+    Plan or None
+        The confirmed plan. If no plan is confirmed, the plan that was simulated last, or None if no
+        path was simulated.
     """
     found: Plan | None = None
     flown, is_free = 0, mission.told.mission.is_free
@@ -143,12 +159,12 @@ def _first_usable(
 
 
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
-    """Return a smooth path along a journey, whose duration the mission allows.
+    """Return a smooth path along a journey, of a duration that the mission allows.
 
     A journey is a route for each leg of the mission `told`. `pace` has the greatest speed and the
-    greatest accelerations of the path. If the duration of the path at this pace is not within the
-    mission's limits, a path of the nearest allowed duration is made; its speed may exceed that of
-    `pace`, up to `fastest` [m/s]. The result is None if there is no such path.
+    greatest accelerations of the path. If the mission does not allow the duration that results from
+    this pace, the path has the nearest allowed duration. Its speed is then limited by `fastest`
+    [m/s] and not by `pace`. The result is None if there is no such path.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
@@ -162,9 +178,9 @@ def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> Smoot
 def _stops(told: Scenario, journey: Journey) -> list[Stop]:
     """Return start, corners and goal of a journey, as a list of stops in the order of the flight.
 
-    `journey` is a route for each leg of the mission `told`. Corners are the places at which a route
-    changes its direction, and the waypoints. The stop at a waypoint also has the waypoint's speed
-    limit and the duration of its hover.
+    `journey` is a route for each leg of the mission `told`. Corners are the waypoints and the
+    places at which a route changes its direction. The stop at a waypoint also has the speed limit
+    and the duration of the hover at this waypoint.
     """
     stops = [Stop(place=journey[0].places[0])]
     for k, route in enumerate(journey):
@@ -183,9 +199,9 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
     """Return the greatest speed of a path along a journey [m/s].
 
     `journey` is a route for each leg of the mission `told`. The greatest speed is somewhat below
-    the mission's speed limit, or 30 m/s without a limit. If the duration is free, it is also at
-    most the speed of least cost in the direction of the longest leg. The calculator of steady
-    flight, `steady`, gives this speed.
+    the mission's speed limit. Without a speed limit it is 30 m/s. If the duration is free, the
+    greatest speed is also at most the speed of least cost in the direction of the longest leg.
+    `steady`, the calculator of steady flight, gives the speed of least cost.
     """
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
@@ -200,11 +216,10 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
     """Return a plan whose vehicle is exactly on a path, and an unconverged solution for its times.
 
-    `path` is the path, and `journey` the journey that the path follows: a route for each leg of the
-    mission. The plan has not been simulated. The solution is the initial point of a solve of the
-    mission, without any iteration. Its duration and its passing times of waypoints are those of the
-    path. The solution is needed because it contains the equations of the vehicle, with which the
-    plan is simulated.
+    `journey` is a route for each leg of the mission, and `path` is a smooth path along it. The plan
+    has not been simulated. The solution is the initial point of a solve of the mission, without any
+    iteration. Its duration and its passing times of waypoints are those of the path. The solution
+    contains the equations of the vehicle, which the simulation of the plan needs.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -235,11 +250,11 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
 def _broken(plan: Plan) -> tuple[Violation, ...]:
     """Return the limits that the path of a plan breaks by too much for a simulation to succeed.
 
-    `plan` is a plan whose vehicle is exactly on its path. Violations of zones and other limits of
-    the airspace by less than 0.1 m are left out, because they can be removed in the simulation. Of
-    the other limits, only violations as small as those that interpolation causes are left out. The
-    simulated flight is later checked against wider tolerances. These are not applied to the path,
-    because the feedback in the simulation takes more thrust and tilt than the path.
+    `plan` is a plan whose vehicle is exactly on its path. Limits of the airspace, such as zones,
+    may be violated by 0.1 m, because the simulation can remove such a violation. For other limits,
+    only the small violations that interpolation causes are tolerated. The simulated flight is later
+    checked against wider tolerances. The path needs narrow tolerances, because feedback in the
+    simulation takes more thrust and tilt than the path.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
@@ -253,15 +268,15 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey, which estimates the least energy [J].
 
-    A journey is a route for each leg of the mission. The vehicle flies along it without
-    acceleration, at the speed `fastest` [m/s] if the duration is free and otherwise at the mean
-    speed that the duration requires, and hovers for as long as the mission asks for. Implements
+    A journey is a route for each leg of the mission. The vehicle flies along the journey without
+    acceleration, and hovers where the mission asks for it. If the duration is free, the speed is
+    `fastest` [m/s]. Otherwise it is the mean speed that the duration requires. Implements
     docs/theory/geometric_plan.md, eq. (7).
 
     Raises
     ------
     SolveError
-        If the vehicle has no steady flight at this speed.
+        If the vehicle has no steady flight at the speed.
     """
     steady, told = mission.steady, mission.told.mission
     steps = [step for route in journey for step in np.diff(route.places, axis=0)]
@@ -284,14 +299,27 @@ def _flat(
 ) -> Trajectories:
     """Return states and controls of a vehicle on a path, by differential flatness.
 
-    `path` is the path, and `dynamics` has the equations of the vehicle. `steady`, the calculator of
-    steady flight, gives the state of the vehicle in hover. The yaw angle follows from the headings
-    at start and goal of the mission `told`. The thrust is the mass times the difference between two
-    accelerations: that of the path, and that which weight and air alone would cause. The direction
-    of the thrust and the yaw angle determine the attitude; the magnitude of the thrust determines
-    the speed of the rotors, which is the same for all. Implements docs/theory/geometric_plan.md,
-    eqs. (5) and (6). The moments that turn the vehicle are neglected: feedback adds them in the
-    simulation. Costates and energies of the result are zero.
+    The thrust is the mass times the difference between two accelerations: the acceleration of the
+    path, and the acceleration that weight and air alone would cause. The direction of the thrust
+    and the yaw angle determine the attitude. The magnitude of the thrust determines the speed of
+    the rotors, which is the same for all rotors. Implements docs/theory/geometric_plan.md, eqs. (5)
+    and (6). The moments that turn the vehicle are neglected: feedback adds them in the simulation.
+
+    Parameters
+    ----------
+    told : Scenario
+        The mission; its headings at start and goal determine the yaw angle.
+    dynamics : Dynamics
+        Equations of the vehicle.
+    steady : SteadyFlight
+        Calculator of steady flight, which gives the state of the vehicle in hover.
+    path : SmoothPath
+        The path.
+
+    Returns
+    -------
+    Trajectories
+        States and controls. Costates and energies are zero.
     """
     names, mesh = dynamics.state_names, _mesh(path)
     times = path.duration * mesh.node_fractions
@@ -358,9 +386,8 @@ def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> 
 def _mesh(path: SmoothPath) -> Mesh:
     """Return a mesh that has element boundaries at the times at which a path passes its corners.
 
-    At a corner with a hover, both the beginning and the end of the hover are boundaries. The
-    elements between two successive times of this kind are equally long, at most 0.4 s. `path` is
-    the path.
+    At a corner with a hover, both the beginning and the end of the hover are boundaries. Between
+    two successive boundaries of this kind, the mesh has equal elements of at most 0.4 s.
     """
     passed = [0.0, path.duration, *(t for pair in path.passings for t in pair)]
     hovered = [t for pair in path.passings for t in pair if pair[1] > pair[0]]
@@ -378,8 +405,9 @@ def _mesh(path: SmoothPath) -> Mesh:
 def _headings(told: Scenario, path: SmoothPath, times: FloatArray) -> FloatArray:
     """Return the yaw angle at n times of a path [rad], shape (n,).
 
-    The yaw angle changes from the heading at the start to the heading at the goal of the mission
-    `told`, with zero rate at both ends. `path` gives the duration; `times` are the n times [s].
+    The yaw angle changes from the heading at the start of the mission `told` to the heading at its
+    goal, with zero rate at both ends. `path` gives the duration of the flight. `times` are the n
+    times [s].
     """
     first, last = told.mission.start.yaw, told.mission.goal.yaw
     return first + (last - first) * quintic_progress(times / path.duration)

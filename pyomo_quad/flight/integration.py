@@ -37,10 +37,9 @@ def integrate(
 ) -> FloatArray:
     """Integrate differential equations over a time span; return the states at given times.
 
-    The result has shape (n_states, n_times). The integration is restarted at the edges, the times
-    at which the rates jump. An integrator that steps over a jump repeats steps until they are as
-    short as its tolerance requires, which takes hundreds of evaluations for each jump. A restart
-    takes about twenty evaluations.
+    The integration is restarted at each time at which the rates jump (an edge). A restart takes
+    about twenty evaluations. An integrator that steps over a jump takes hundreds of evaluations,
+    because it repeats its steps until they are as short as its tolerance requires.
 
     Parameters
     ----------
@@ -51,13 +50,18 @@ def integrate(
     start : array_like, shape (n_states,)
         States at the first time.
     times : sequence of float
-        Increasing times within the span at which states are returned.
+        Increasing times within the span [s] at which states are returned.
     edges : sequence of float
-        Increasing times between which the rates are smooth; edges outside the span are ignored.
+        Increasing times [s] between which the rates are smooth; edges outside the span are ignored.
     flight, remedy : str
         Beginning and end of the message if the integration fails.
     **options
         Further options of `scipy.integrate.solve_ivp`.
+
+    Returns
+    -------
+    ndarray, shape (n_states, n_times)
+        States at `times`.
 
     Raises
     ------
@@ -89,12 +93,11 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return the right-hand side with its time limited to the inside of an interval.
+    """Return a right-hand side whose time is limited to the inside of an interval.
 
-    `rates` is the right-hand side: time [s] and states -> time derivatives. It may jump at the ends
-    of the interval, the times `first` and `last` [s]. For a time at an end or outside, the returned
-    function evaluates the right-hand side slightly inside the interval, so that the integrator sees
-    no jump.
+    `rates` is the original right-hand side: time [s] and states -> time derivatives. It may jump at
+    the ends of the interval, `first` and `last` [s]. The returned function replaces a time at an
+    end, or outside the interval, by a time slightly inside. The integrator therefore sees no jump.
     """
     margin = _INSIDE * (last - first)
 

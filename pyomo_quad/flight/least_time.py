@@ -48,8 +48,8 @@ def shortest_flight(
     """Solve for the least duration in which a mission is possible.
 
     As a rule, the mesh is refined a few times only. If the least duration is close to the duration
-    that the mission prescribes, the mesh is refined to the mission's own tolerance, to decide
-    whether the prescribed duration is long enough.
+    that the mission prescribes, the mesh is refined to the mission's own tolerance. It can then be
+    decided whether the prescribed duration is long enough.
 
     Parameters
     ----------
@@ -60,8 +60,8 @@ def shortest_flight(
     progress : callable or None
         Called at each Ipopt iteration; returning False stops the solve.
     is_exact : bool, optional
-        Whether the least duration is itself the result wanted. The mesh is then refined in any
-        case, to the tolerance `_TIME_TOLERANCE` on the relative error.
+        Whether the least duration is itself the wanted result. If true, the mesh is always refined
+        to the tolerance `_TIME_TOLERANCE` on the relative error.
 
     Returns
     -------
@@ -113,8 +113,8 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     -------
     dict
         Nominal value of each free time [s] -> the Pyomo variable of this time. The nominal value is
-        the time that the scenario prescribes or estimates. The model's continuous time set contains
-        the nominal value in place of the unknown time.
+        the scenario's value or estimate of the time. It stands for the unknown time in the model's
+        continuous time set.
 
     Raises
     ------
@@ -144,11 +144,11 @@ class Approach:
     shortest : Solution
         Solution of least duration.
     solve : callable
-        Solves a scenario of fixed duration: takes the scenario, a solution to start from (or None)
-        and the search; returns a plan.
+        Solves a scenario of fixed duration and returns a plan. Its arguments are the scenario, a
+        solution to start from or None, and `search`.
     search : Search
-        Progress callback that stops a solve whose effort exceeds a limit. The effort is the number
-        of mesh points, summed over all iterations.
+        Progress callback of the solves. It stops a solve if the number of mesh points, summed over
+        all iterations, exceeds a limit.
     plans : list of Plan
         Plans made so far, in order of decreasing duration.
     """
@@ -174,8 +174,8 @@ class Approach:
     def goes_on(self) -> bool:
         """Return whether to solve for the next duration.
 
-        This is the case if there is no plan yet, or if the last plan is verified. A plan is
-        verified if a simulation confirms it to the accuracy that the mission requests.
+        The result is True if there is no plan yet, or if the last plan is verified: a simulation
+        confirms it to the accuracy that the mission requests.
         """
         return not self.plans or self.plans[-1].is_verified
 
@@ -202,8 +202,8 @@ class Approach:
         """Verified plan of the shortest duration, or the first plan if none is verified.
 
         A plan is verified if a simulation confirms it to the accuracy that the mission requests.
-        In the plan returned, two durations are appended to the text of the attribute `message`:
-        the duration of the plan, and the least duration of the mission.
+        The attribute `message` of the returned plan ends with two durations: that of the plan, and
+        the least duration of the mission.
         """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (

@@ -67,9 +67,9 @@ def limit_words(name: str) -> str:
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
     """Convert the value of a limit and its unit from the model to the form in print.
 
-    The model limits the squares of some speeds and distances, in m**2/s**2 or m**2; these are
-    printed as speeds in m/s and distances in m. `name` is the name of the limit in the model,
-    `size` its value and `unit` its unit there.
+    The model limits the squares of some speeds and distances, in m**2/s**2 or m**2. The reports
+    print them as speeds in m/s and distances in m. `name`, `size` and `unit` are the name, value
+    and unit of the limit in the model.
 
     Returns
     -------
@@ -84,8 +84,8 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
 def excess(breach: Violation, unit: str) -> tuple[float, str]:
     """Return the amount by which a limit is violated, and its unit, in the form in print.
 
-    `breach` is the violation, `unit` the unit of the limit in the model. The excess over a limit on
-    a square, such as a speed squared, is converted to the excess of the speed itself.
+    `breach` is the violation, `unit` the unit of the limit in the model. If the model limits the
+    square of a speed or distance, the result is the excess of the speed or distance itself.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)

@@ -1,9 +1,9 @@
 """Initial guess and meshes for a long, straight flight that accelerates, cruises and brakes.
 
-A vehicle changes its attitude within a second, however long the flight is. Equal elements would be
-too long to resolve this in a long flight. Therefore the mesh has short elements at both ends, and
-their length grows towards the middle. The cruise speed of the guess follows from the duration. If
-the duration is free, the guess has the speed of least cost per metre.
+A vehicle changes its attitude within a second, however long the flight is. In a long flight, equal
+elements would be too long to resolve such a change. Therefore the mesh has short elements at both
+ends, and the length of the elements grows towards the middle. The cruise speed of the guess follows
+from the duration. If the duration is free, the guess has the speed of least cost per metre.
 """
 
 from __future__ import annotations
@@ -73,9 +73,16 @@ def fine_mesh(duration: float, degree: int) -> Mesh:
 def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
     """Return a mesh whose elements grow by a constant factor from both ends towards the middle.
 
-    `duration` is the duration of the flight [s], `shortest` the length of the first and the last
-    element [s], `growth` the factor between neighbouring elements, and `degree` the polynomial
-    degree of short elements; long elements have a higher degree.
+    Parameters
+    ----------
+    duration : float
+        Duration of the flight [s].
+    shortest : float
+        Length of the first and the last element [s].
+    growth : float
+        Ratio of the lengths of two neighbouring elements.
+    degree : int
+        Polynomial degree of short elements; long elements have a higher degree.
     """
     widths = [shortest]
     while 2 * sum(widths) < duration:
@@ -99,9 +106,9 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        Keys "time" and the names of states hold samples, shape (n,); "duration" is the duration
-        [s], if it is free. None if start and goal coincide, or if there is no steady flight at the
-        cruise speed.
+        Initial guess: "time" and the names of states map to samples, shape (n,). If the duration is
+        free, "duration" maps to the duration [s]. None if start and goal coincide, or if there is
+        no steady flight at the cruise speed.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 
@@ -149,8 +156,8 @@ def _over_the_ground(
     """Return height and climb rate of an initial guess, raised where it is too low over terrain.
 
     `guess` maps state names to samples at the times `when` [s]. The result maps the names of the
-    states for height [m] and climb rate [m/s] to their changed samples. It is empty if the airspace
-    has no terrain or no floor (least height above the ground).
+    states for height [m] and climb rate [m/s] to their changed samples. The result is empty if the
+    airspace has no terrain, or no floor (least height above the ground).
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:

@@ -75,8 +75,8 @@ class RiskTaken:
     predicted : float
         Risk predicted from the covariance of flights, by a linear model.
     failed, flown : int
-        Number of test flights that broke a limit, and number of all test flights. The margins were
-        found without these flights.
+        Number of test flights that broke a limit, and number of all test flights. The test flights
+        were not used to find the margins.
     is_satisfied : bool
         Whether the fraction of failed test flights does not exceed the allowed risk.
     margins : mapping
@@ -87,12 +87,12 @@ class RiskTaken:
         The limits that flights break most, in words, the most frequent first.
     least : float
         Lower bound on the risk of every plan; zero if it was not computed. It is the fraction of
-        vehicles hovering at the goal that gusts carry beyond the limit on distance or on speed at
-        the end of a flight.
+        vehicles, hovering at the goal, that gusts carry beyond a limit of the end of a flight: the
+        limit on distance from the goal, or the limit on speed.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
-        Reason why the search for margins ended early; empty if it did not.
+        Reason why the search for margins ended early; empty if the search was completed.
     """
 
     asked: float
@@ -189,8 +189,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
     Yields
     ------
     (str, float)
-        Scenario field that sets the upper or lower bound of the limit, and the largest amount by
-        which the flight is nearer to this bound than the plan, in the unit of the limit.
+        Scenario field that sets a bound of the limit, and how much nearer to this bound the flight
+        is than the plan: the largest difference over all times, in the unit of the limit.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -201,11 +201,10 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
-    The returned waypoint has a smaller radius, a lower speed limit, and a hover that begins earlier
-    and ends at the same time as the hover of `waypoint`. `margins` maps the full name of a scenario
-    field to the amount by which its limit is tightened. Three fields are used here: radius [m],
-    speed limit [m/s] and duration of the hover [s]. The constants `RADIUS`, `SPEED` and `HOLD` are
-    their names.
+    The returned waypoint has a smaller radius and a lower speed limit than `waypoint`. Its hover
+    begins earlier and ends at the same time. `margins` maps the full name of a scenario field to
+    the amount by which its limit is tightened. Three of these names are used: `RADIUS` [m], `SPEED`
+    [m/s] and `HOLD` (duration of the hover) [s].
     """
     changed: dict[str, float] = {}
     if waypoint.radius:
@@ -225,8 +224,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights must pass the waypoints, from the times of a plan.
 
-    As a margin, a plan may begin its hovers earlier than the mission requires, by the time `lead`.
-    Flights that follow the plan must hover only from the later time that the mission requires.
+    A plan may begin its hovers earlier than the mission requires, by the time `lead`, to leave a
+    margin. A flight that follows the plan must hover only from the time that the mission requires.
 
     Parameters
     ----------
@@ -251,8 +250,8 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field with which the mission may remain feasible.
 
-    A margin is the amount by which the limit in this field is tightened for a plan, in the unit of
-    the field. `name` is the full name of the field, such as "airspace.floor".
+    `name` is the full name of the field, such as "airspace.floor". A margin is the amount by which
+    the limit in this field is tightened for a plan, in the unit of the field.
     """
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:

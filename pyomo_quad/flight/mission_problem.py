@@ -1,10 +1,10 @@
 """Compiled optimal control problem of a mission, and its solution by continuation.
 
 Without regeneration, a rotor that brakes returns no energy: a negative power is replaced by zero.
-The power then has a kink at zero, which makes the problem hard to solve. The parameter
-`power.smoothing` of the Pyomo model sets the width [W] over which the kink is smoothed.
-Continuation solves easier problems first, in which this width is larger. The solution of each
-problem is the initial point for the next.
+The power then has a kink at zero, which makes the problem hard to solve. The kink is smoothed. The
+parameter `power.smoothing` of the Pyomo model sets the width of the smoothing [W]. A larger width
+makes the problem easier. Continuation solves the problem with larger widths first. The solution of
+each problem is the initial point for the next.
 """
 
 from __future__ import annotations
@@ -65,18 +65,19 @@ class MissionProblem:
     told : Scenario
         The mission in the wind that the optimiser assumes (the forecast).
     search : Search, optional
-        Progress callback of the solves, which may stop them; it also stores plans that simulation
-        confirms at lower accuracy than requested.
+        Progress callback, which may stop a solve. It also stores plans that simulation confirms at
+        lower accuracy than requested.
 
     Attributes
     ----------
     timings : mapping
         Seconds spent on building and compiling.
     easier : tuple of mapping
-        Values of model parameters that make the problem easier, the easiest first. Without
-        regeneration, the power has a kink at zero, because a rotor that brakes returns no energy;
-        each mapping (parameter name -> value) sets a larger width over which this kink is smoothed.
-        A final plan never uses these values. The tuple is empty for a mission with regeneration.
+        Parameter values (parameter name -> value) that make the problem easier, the easiest first.
+        Each mapping smooths the power over a larger width than the mission does. The power has a
+        kink at zero, where rotors begin to brake, because without regeneration a braking rotor
+        returns no energy. A final plan never uses these values. The tuple is empty for a mission
+        with regeneration.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -127,9 +128,9 @@ class MissionProblem:
     def allowance(self) -> Allowance:
         """Tolerances of the mesh refinement on errors that occur between collocation points.
 
-        Such errors are violations of limits and errors of the states; a simulation of the planned
-        controls reveals them. The tolerances are wide for the package's own model and an accuracy
-        below the highest level, `proof`, so that a coarse mesh suffices. Two later steps then
+        Such errors are violations of limits and errors of the states. A simulation of the planned
+        controls reveals them. For the package's own model and an accuracy below the highest level,
+        `proof`, the tolerances are wide, so that a coarse mesh suffices. Two later steps then
         remove the errors: the module `flight.tracking` corrects the controls by feedback before the
         simulation, and the module `flight.stricter_limits` tightens the limits that the simulated
         flight breaks.
@@ -150,10 +151,10 @@ class MissionProblem:
     def stricter_refinement(self, share: float) -> RefinementOptions:
         """Return the options of the mesh refinement with two of its tolerances reduced.
 
-        The tolerance on the errors of the states and the tolerance on the violation of limits are
-        multiplied by the factor `share`, less than 1. Both apply between the collocation points;
-        the property `allowance` has their values before the reduction. If there is no tolerance on
-        the errors of the states, the mission's own options are returned unchanged.
+        The two tolerances concern the errors of the states and the violations of limits between the
+        collocation points. The property `allowance` has their unreduced values. Both are multiplied
+        by the factor `share`, less than 1. If there is no tolerance on the errors of the states,
+        the result is the mission's own options, unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -172,9 +173,9 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Full name of a parameter -> value that replaces the mission's value. If given, no
-            usable plans are made from the solutions on intermediate meshes. A usable plan is a plan
-            that simulation confirms at lower accuracy than requested.
+            Full name of a parameter -> value that replaces the mission's value. If given, the
+            solutions on intermediate meshes are not made into usable plans (plans confirmed by
+            simulation at lower accuracy than requested).
         **chosen
             Arguments of the method `Problem.solve` that replace those of the property `arguments`.
 
@@ -192,10 +193,10 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        Without regeneration, the power has a kink at zero, because a rotor that brakes returns no
-        energy. The easiest parameter values set the largest width over which this kink is smoothed.
-        A mission that has no easier values is solved with its own. ``chosen`` holds arguments of
-        the method `Problem.solve` that replace those of the property `arguments`.
+        These values smooth the power over the largest width at its kink at zero, where rotors begin
+        to brake. A mission that has no easier values, as with regeneration, is solved with its own.
+        ``chosen`` holds arguments of the method `Problem.solve` that replace those of the property
+        `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
@@ -203,12 +204,11 @@ class MissionProblem:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
         Without regeneration, the power has a kink at zero, because a rotor that brakes returns no
-        energy. A parameter of the model sets the width over which the kink is smoothed. The easier
-        problems have a larger width than the mission. They are solved in order of decreasing width,
-        each from the solution of the one before, and the mission itself is solved last. If this
-        last solve fails on a refined mesh, the easiest problem is solved on that mesh, and the
-        continuation is repeated from its solution. A mission with regeneration has no easier
-        problems and is solved once.
+        energy. An easier problem smooths this kink over a larger width than the mission. The easier
+        problems are solved in order of decreasing width, each from the previous solution. The
+        mission itself is solved last. If the solve of the mission fails on a refined mesh, the
+        easiest problem is solved on that mesh, and the continuation is repeated from there. A
+        mission with regeneration has no easier problems and is solved once.
 
         Parameters
         ----------
@@ -242,18 +242,25 @@ class MissionProblem:
     ) -> tuple[Solution, Solution | None]:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        `easier` holds the easier parameter values (parameter name -> value), the easiest first; one
-        problem is solved for each mapping. `reached` is the solution of a still easier problem, or
-        None. If `reached` is given, the first solve starts from `reached`, on its mesh; otherwise
-        the first solve starts from the initial guess `guess` on the mesh `mesh`.
+        Parameters
+        ----------
+        easier : tuple of mapping
+            Easier parameter values (parameter name -> value), the easiest first. One problem is
+            solved for each mapping.
+        guess : mapping, DataFrame, Trajectory or None
+            Initial guess of the first solve; not used if `reached` is given.
+        mesh : Mesh
+            Mesh of the first solve; not used if `reached` is given.
+        reached : Solution, optional
+            Solution of a still easier problem. The first solve starts from it, on its mesh.
 
         Returns
         -------
         Solution
             Result of the last solve, converged or not.
         Solution or None
-            Solution of the easiest problem that was solved: `reached` if it was given, otherwise
-            the first converged solution with easier values; None if there is none.
+            `reached` if it was given, otherwise the first converged solution with easier values.
+            None if there is none.
         """
         first = reached
         for numbers in easier:
@@ -273,10 +280,10 @@ class MissionProblem:
     def _as_far_as(self, stopped: Solution) -> Solution:
         """Return the last iterate of an interrupted solve, evaluated with the mission's parameters.
 
-        `stopped` is the result of the interrupted solve. That solve had easier parameter values: a
-        larger width over which the power is smoothed at its kink at zero, where rotors begin to
-        brake. Energy and errors of the returned solution are computed with the mission's own
-        values instead.
+        `stopped` is the result of the interrupted solve. The interrupted solve had easier parameter
+        values: it smoothed the power over a larger width at the kink at zero, where rotors begin to
+        brake. The energy and the errors of the returned solution are computed with the mission's
+        own values.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
@@ -295,10 +302,11 @@ class MissionProblem:
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
         """Return the trajectory of another problem in the variables of this problem.
 
-        `other` is the solution with that trajectory, ``own`` is a solution of this problem.
-        Variables that the other problem lacks get their values from ``own``; the battery's charge
-        in a minimum-time problem is an example. Static variables (those that are constant in time)
-        also get their values from ``own``, if the two problems have different static variables.
+        `other` is a solution of the other problem, ``own`` a solution of this problem. Variables
+        that the other problem lacks get their values from ``own``. An example is the battery's
+        charge, which a minimum-time problem lacks. If the two problems differ in their static
+        variables (variables that are constant in time), the static variables also get their values
+        from ``own``.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -318,11 +326,11 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """Problem of an easier mission, which passes its waypoints exactly.
+        """Problem of an easier mission, whose flights pass exactly through the waypoints.
 
         In the easier mission, the waypoints have no radius and no speed limit. The solution of the
-        easier mission is an initial point for this mission. The property is None if this mission
-        passes its waypoints exactly already.
+        easier mission is an initial point for this mission. The property is None if the waypoints
+        of this mission have no radius and no speed limit.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
@@ -369,10 +377,10 @@ class MissionProblem:
     def keep_usable(self, finished: Solution) -> None:
         """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        attribute `search` (progress callback of the solves) stores the usable plan, which is the
-        result if the user or the time limit stops the solve. The mesh refinement calls this method
-        after the solve on each mesh. Nothing happens if there is no `search`.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
+        result if the user or the time limit stops the solve. The attribute `search`, the progress
+        callback of the solves, stores the usable plan. Without `search` nothing happens. The mesh
+        refinement calls this method after the solve on each mesh.
         """
         search = self.search
         if search is None:

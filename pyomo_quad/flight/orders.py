@@ -43,13 +43,13 @@ class OrderSearch:
         Indices of the scenario's waypoints, in the order in which the plan visits them.
     cost_J : float
         Cost of this order [J], the sum of the costs of its legs. A leg is the flight from one place
-        to the next, from hover to hover. The cost of a leg is its energy plus a weight [W], the
-        mission's price of time, times its duration.
+        to the next, from hover to hover. The cost of a leg is its energy plus the mission's price
+        of time [W] times its duration.
     bound_J : float
-        Lower bound on the cost of an order [J], for every order of the waypoints. The bound uses
-        optimistic predictions for the costs of legs for which no flight was solved.
+        Lower bound on the cost of every order of the waypoints [J]. For a leg whose flight was not
+        solved, the bound uses an optimistic prediction of the cost.
     solved, legs : int
-        Number of legs for which a flight was solved, and number of all legs that orders may use.
+        Number of legs whose flight was solved, and number of all legs that orders may use.
     """
 
     order: tuple[int, ...]
@@ -76,8 +76,9 @@ class OrderSearch:
     def line(self) -> str:
         """Summary of the search for the order of the waypoints, in one line.
 
-        It states the number of waypoints, the largest fraction by which the cost of the order found
-        can exceed that of the best order, and the numbers of legs solved and of all legs.
+        It states the number of waypoints, the numbers of legs solved and of all legs, and a
+        fraction. The order found costs at most this fraction more than the best order. A leg is the
+        flight from one place to the next.
         """
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
@@ -111,10 +112,10 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 def cost_of(costs: FloatArray, order: _Order) -> float:
     """Return the cost of an order of places: the sum of the costs of its legs.
 
-    `costs` is the table of leg costs: entry (i, j) is the cost of the leg from the place of row i
-    to the place of column j. Index 0 is the start, and the last index is the goal. `order` lists
-    the places between start and goal in the order of the flight. Each place is given by its index
-    in the table minus 1, so that the first place after the start in the table is 0.
+    A leg is the flight from one place to another. Entry (i, j) of `costs` is the cost of the leg
+    from place i to place j; place 0 is the start, the last place is the goal. `order` lists the
+    places between start and goal in the order of the flight. Its numbers are smaller by 1 than in
+    `costs`: the first place after the start has number 0.
     """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
@@ -123,8 +124,8 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, by dynamic programming.
 
-    The method is that of Held and Karp [1]_. A state of the recursion consists of the set of places
-    passed and the place passed last; the `count` best orders of each state are kept.
+    The method is that of Held and Karp [1]_. A state of the recursion is the set of places passed,
+    with the place passed last. The `count` best orders of each state are kept.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -177,10 +178,10 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal that local search finds.
 
-    A local change exchanges two neighbouring blocks of the order, which keeps the direction of
-    flight within the blocks, or reverses a block [1]_. Each step of a descent takes the best of all
-    local changes. Descents are repeated from perturbed copies of the best order; the random numbers
-    are the same in every call.
+    A local change exchanges two neighbouring blocks of an order, or reverses a block [1]_. An
+    exchange keeps the direction of flight within the blocks. Each step of a descent takes the best
+    of all local changes. Descents are repeated from random perturbations of the best order. The
+    random numbers are the same in every call.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
@@ -217,9 +218,9 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 def _without_infinities(costs: FloatArray) -> FloatArray:
     """Return a table of leg costs in which infinite costs are replaced by large finite numbers.
 
-    Some algorithms need finite numbers. `costs` is the table of leg costs; an infinite cost marks a
-    leg (flight between two places) that is not allowed. All infinite costs are replaced by the same
-    number, which is above the cost of any order that uses allowed legs only.
+    An infinite cost marks a leg (flight between two places) that is not allowed. Some algorithms
+    need finite numbers. All infinite costs in the table `costs` are replaced by one number. This
+    number exceeds the cost of every order that uses allowed legs only.
     """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
@@ -230,8 +231,8 @@ def _neighbours(n: int) -> IntArray:
     """Return all orders that a single local change makes from the order 0, 1, ..., n - 1.
 
     A local change exchanges two neighbouring blocks of the order, or reverses a block. Each row of
-    the result is an order of n indices. Applied as an index array to any other order, a row makes
-    the same change there.
+    the result is one changed order of the n indices. Used as an index array, a row makes its change
+    in any other order: `order[row]`.
     """
     every = np.arange(n)
     rows = [
@@ -253,9 +254,9 @@ def _named(order: IntArray) -> _Order:
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
     """Return the cost of each of several orders of places, shape (n_orders,).
 
-    `costs` is the table of leg costs: row 0 has the legs from the start, the last column those to
-    the goal. Each row of `orders` is one order of the places between start and goal, given by their
-    indices in the table, from 1.
+    `costs` is the table of leg costs: row 0 has the legs from the start, the last column has the
+    legs to the goal. Each row of `orders` is one order of the places between start and goal, given
+    by their indices in the table, from 1.
     """
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
@@ -277,11 +278,23 @@ def nearest_first(costs: FloatArray) -> IntArray:
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
     """Return the locally optimal order that steepest descent finds from an initial order.
 
-    `costs` is the table of leg costs: row 0 has the legs from the start, the last column those to
-    the goal. The initial order `order` and the result have the places between start and goal, given
-    by their indices in the table, from 1. A local change of an order exchanges two neighbouring
-    blocks of it, or reverses a block; each row of `neighbours` describes one local change, as the
-    function `_neighbours` returns them. The descent ends when no local change reduces the cost.
+    A local change exchanges two neighbouring blocks of an order, or reverses a block. The descent
+    ends when no local change reduces the cost.
+
+    Parameters
+    ----------
+    costs : ndarray, shape (n + 2, n + 2)
+        Cost of each leg. Row 0 has the legs from the start, the last column has the legs to the
+        goal.
+    neighbours : ndarray
+        Local changes, one in each row, as the function `_neighbours` returns them.
+    order : ndarray, shape (n,)
+        Initial order of the places between start and goal, as indices in the table, from 1.
+
+    Returns
+    -------
+    ndarray, shape (n,)
+        Order found, in the form of `order`.
     """
     cost = _cost(costs, order[None])[0]
     while True:
@@ -296,8 +309,9 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of the places between start and goal.
 
-    The result is the larger of two bounds: the cost of the cheapest assignment of a successor to
-    each place, and the bound by spanning trees [1]_ for symmetric costs; see docs/theory/orders.md.
+    The result is the larger of two bounds. One bound is the cost of the cheapest assignment of a
+    successor to each place. The other bound uses spanning trees [1]_ and symmetric costs. See
+    docs/theory/orders.md.
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
@@ -308,8 +322,8 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of each leg (flight from one place to another), for at least one place between start
         and goal.
     reached : float
-        Cost of a known order. The iteration that raises the bound by trees uses it as its target,
-        and the result never exceeds it.
+        Cost of a known order. The result never exceeds this cost. The bound by trees is raised by
+        an iteration, whose target is this cost.
 
     Returns
     -------
@@ -328,15 +342,16 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
     """Return leg costs that do not depend on direction, for the lower bound by spanning trees.
 
-    A leg is the flight from one place to another. Climbs and head winds make the cost of a leg
-    depend on the direction. To remove most of this dependence, each place gets a number, its
-    potential, which is zero for start and goal. The potential of the place where a leg begins is
-    added to the cost of the leg, and the potential of the place where the leg ends is subtracted.
-    This does not change the cost of any order; see docs/theory/orders.md, eq. (3). The symmetric
-    cost of a leg between two places is then the cost in the cheaper direction. Legs that are
-    allowed in one direction only are not used to determine the potentials. `costs` is the table of
-    leg costs, and `finite` the same table with large numbers in place of infinite costs. The result
-    is a table of the same shape.
+    A leg is the flight from one place to another. Climbs and head winds make its cost depend on the
+    direction. To remove most of this dependence, each place gets a number, its potential. The cost
+    of a leg is increased by the potential of the place where the leg begins, and reduced by the
+    potential of the place where the leg ends. The potentials of start and goal are zero. The cost
+    of an order therefore does not change; see docs/theory/orders.md, eq. (3). Of the two directions
+    between two places, the cheaper one then gives the symmetric cost.
+
+    `costs` is the table of leg costs. `finite` is the same table with large numbers in place of
+    infinite costs. The result is a table of the same shape. Legs that are allowed in one direction
+    only do not affect the potentials.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
@@ -353,11 +368,12 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of places, by minimum spanning trees.
 
-    An order is a spanning tree in which each place between start and goal has two legs (flights
-    to another place). In the minimum spanning tree a place may have another number of legs.
-    Multipliers, one for each place, penalise a number of legs other than two, and subgradient steps
-    maximise the bound over the multipliers: see docs/theory/orders.md, eq. (5). `costs` is the
-    table of symmetric leg costs. `reached` is the cost of a known order, the target of the steps.
+    A leg is the flight from one place to another. An order is a spanning tree in which each place
+    between start and goal has two legs. In the minimum spanning tree, a place may have fewer or
+    more legs. Each place has a multiplier, which penalises a number of legs other than two.
+    Subgradient steps maximise the bound over the multipliers; see docs/theory/orders.md, eq. (5).
+    `costs` is the table of symmetric leg costs. `reached` is the cost of a known order, the target
+    of the steps.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0

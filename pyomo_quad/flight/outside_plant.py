@@ -1,8 +1,8 @@
 """Flights in the simulator RotorPy [1]_, with this package's controller or RotorPy's own.
 
-RotorPy is independent of this package, so that its flights test plans and controllers. The declared
-vehicle is the vehicle of the scenario's Pyomo model. The table shows which parameters of RotorPy
-(right) follow from the declared vehicle (left):
+RotorPy is independent of this package. Its flights therefore test plans and controllers. The
+declared vehicle is the vehicle of the scenario's Pyomo model. The table shows which parameters of
+RotorPy (right) follow from the declared vehicle (left):
 
 declared vehicle | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
@@ -11,12 +11,12 @@ drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx
 quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
 linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
-RotorPy's rotors have no inertia, so the gyroscopic moment and the reaction of the body to
-accelerating rotors are added to RotorPy's own moments. RotorPy's motors follow a command with a
-lag; at every time the command is chosen that produces the desired rotor acceleration. Energy is the
-integral of the declared power at RotorPy's rotor speeds. Features of RotorPy's own simulation that
-differ from the declared equations are switched off by default; `Habits` switches them on one at a
-time.
+RotorPy's rotors have no inertia. Two moments are therefore added to RotorPy's own: the gyroscopic
+moment, and the reaction of the body to accelerating rotors. RotorPy's motors follow a command with
+a lag. At every time, the command is chosen that produces the desired rotor acceleration. Energy is
+the integral of the declared power at RotorPy's rotor speeds. Some features of RotorPy's own
+simulation differ from the declared equations. They are off by default; `Habits` switches them on
+one at a time.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -109,8 +109,7 @@ class BodyFrame:
     """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model.
 
     `turn` is the angle from the model's body x axis to the body x axis of RotorPy's vehicle [rad].
-    `order` has, for each rotor of RotorPy's vehicle, the number of the same rotor in the model,
-    from 0.
+    Entry k of `order` is the number of RotorPy's rotor k in the model; both numbers count from 0.
     """
 
     turn: float = 0.0
@@ -123,10 +122,10 @@ class BodyFrame:
 class Habits:
     """Switches for features of RotorPy's own simulation that differ from the scenario's model.
 
-    The features are another value of gravity, rotors without gyroscopic moment or without reaction
-    of the body to their acceleration, rotor commands that change only at a constant rate, and
-    another tolerance of the integrator. With the default values, RotorPy's vehicle obeys the
-    equations of the scenario's Pyomo model.
+    RotorPy's own simulation may have another value of gravity and another tolerance of the
+    integrator. Its rotors cause no gyroscopic moment, and do not turn the body when they
+    accelerate. Its rotor commands change only at a fixed rate. With the default values of the
+    switches, RotorPy's vehicle obeys the equations of the scenario's Pyomo model.
     """
 
     gravity: float | None = None
@@ -204,10 +203,10 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 class OutsidePlant:
     """RotorPy's multirotor, simulated with the states, controls and power of the declared model.
 
-    The declared model is the scenario's Pyomo model; its states are "declared states". The joint
-    state of a simulation is an array of RotorPy's state vector, the declared states that RotorPy
-    lacks (such as the charge drawn from the battery), the states of a control law, and the energy
-    spent.
+    The declared model is the scenario's Pyomo model, and the declared states are its states. A
+    simulation has a joint state, an array of four parts: RotorPy's state vector, the declared
+    states that RotorPy lacks (such as the charge drawn from the battery), the states of a control
+    law, and the energy spent.
 
     Parameters
     ----------
@@ -216,7 +215,7 @@ class OutsidePlant:
     dynamics : Dynamics
         The declared vehicle: its power, its battery and the wind.
     parameters : mapping, optional
-        RotorPy's parameters; by default those that describe the scenario's vehicle.
+        RotorPy's parameters; by default they describe the scenario's vehicle.
     frame : BodyFrame, optional
         Body axes in which the parameters are given.
     habits : Habits, optional
@@ -266,7 +265,7 @@ class OutsidePlant:
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
         """Return the initial joint state of a simulation.
 
-        `x` holds the initial declared states, those of the scenario's Pyomo model, shape
+        `x` holds the initial states of the scenario's Pyomo model (declared states), shape
         (n_states,). `own` holds the initial states of the control law. The joint state consists of
         RotorPy's state vector, the declared states that RotorPy lacks, the law's states, and the
         energy spent.
@@ -375,9 +374,9 @@ class OutsidePlant:
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
         """Return the moments on the body that RotorPy neglects, shape (3,) [N m].
 
-        These are the gyroscopic moment of the spinning rotors, and the reaction to their angular
-        acceleration. `s` is RotorPy's state vector, `alpha` has the rotor accelerations in
-        RotorPy's order [rad/s^2].
+        The result is the sum of the gyroscopic moment of the spinning rotors and the reaction to
+        the angular acceleration of the rotors. `s` is RotorPy's state vector. `alpha` has the rotor
+        accelerations in RotorPy's order of the rotors [rad/s^2].
         """
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
@@ -466,11 +465,13 @@ class OutsidePlant:
     ) -> Callable[[float, FloatArray], FloatArray]:
         """Return the right-hand side of the closed loop for one period in which the law is smooth.
 
-        The returned function takes a time [s] and the joint state, and returns the time derivative
+        The returned function takes a time [s] and the joint state. It returns the time derivative
         of the joint state under the control law `law`. It raises a SolveError if the vehicle
-        tumbles in the period, which ends at the time `last` [s]. The law may jump at the start of
-        the period; before the time `inside` [s], which is just after the start, the function
-        therefore evaluates the law at `inside`.
+        tumbles.
+
+        The period ends at the time `last` [s]. The law may jump at the start of the period. The
+        time `inside` [s] is just after the start. For earlier times, the law is evaluated at
+        `inside`.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -481,11 +482,11 @@ class OutsidePlant:
         return slope
 
     def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law with constant rotor-speed commands: those that ``law`` gives at time t [s].
+        """Return a law that keeps the rotor-speed commands that ``law`` gives at time t [s].
 
-        `joint` is the joint state at time t. The returned law gives the rotor accelerations with
-        which the motors follow the constant commands with their lag. RotorPy's own simulation keeps
-        the commands constant in this way between two evaluations of its controller.
+        `joint` is the joint state at time t. The motors follow the constant commands with a lag.
+        The returned law gives the resulting rotor accelerations. RotorPy's own simulation also
+        keeps the commands constant between two evaluations of its controller.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -526,10 +527,10 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    In RotorPy the wind acts only through the airspeed. A scenario with the setting `wind.coupling =
-    "acceleration"` instead has a wind that is an acceleration of the vehicle, as in eq. (9) of
-    Yacef et al., the paper from which the quadrotor model of this package is taken. No error is
-    raised if this wind is zero.
+    In RotorPy the wind acts only through the airspeed. With the setting `wind.coupling =
+    "acceleration"`, the wind of a scenario is an acceleration of the vehicle. This wind follows eq.
+    (9) of Yacef et al., the source of this package's quadrotor model. No error is raised if the
+    wind is zero.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -570,7 +571,7 @@ def fly_outside(
         Path to follow.
     plan : Plan, optional
         Plan to follow. If the flight ends off the goal, the plan's costates give an estimate of the
-        energy that is needed to reach the goal.
+        energy that the vehicle still needs.
 
     Returns
     -------
@@ -707,13 +708,13 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
-    The law is applied to RotorPy's vehicle `plant`. The times are the boundaries of the plan's mesh
-    elements. The law returns the planned rotor accelerations. The attribute `plant.habits`
-    (switches for features of RotorPy's own simulation) may prescribe that the motors receive
-    rotor-speed commands at a fixed rate. In this case the law adds, to the planned rotor
-    acceleration, the difference between planned and actual rotor speed over the time constant of
-    the motors. The rotor-speed command is then the planned rotor speed plus the planned rotor
-    acceleration times that time constant.
+    The law returns the planned rotor accelerations of RotorPy's vehicle `plant`. The times are the
+    boundaries of the plan's mesh elements.
+
+    The attribute `plant.habits` may prescribe that the motors receive rotor-speed commands at a
+    fixed rate. The law then adds a term to the planned rotor acceleration: the planned minus the
+    actual rotor speed, divided by the time constant of the motors. The resulting rotor-speed
+    command is the planned rotor speed plus the time constant times the planned acceleration.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

@@ -1,8 +1,8 @@
 """Solves of one mission side by side, in forked copies of this process.
 
-A copy has the compiled problem already. It sends back its solution without the problem, in a few
-milliseconds, and the best usable plan that it made. A usable plan is a plan that simulation
-confirms at lower accuracy than requested.
+A copy has the compiled problem already. It sends back its solution without the problem, which takes
+a few milliseconds. It also sends back its best usable plan: a plan that simulation confirms at
+lower accuracy than requested.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ def solve_side_by_side(
 ) -> tuple[Solution, ...]:
     """Carry out solves of a mission, as many at the same time as there are cores.
 
-    Solves run in forked copies of this process, and in this process. The solutions do not depend on
-    the number of cores. If the search for a plan is stopped, the solves in copies are given up.
+    Solves run in this process and in forked copies of it. The solutions do not depend on the number
+    of cores. If the user or a limit stops the solves, those in copies are given up.
 
     Parameters
     ----------
     mission : MissionProblem
-        Compiled problem of the mission. Two results of each copy are passed on to the attribute
-        `mission.search` (progress callback of the solves): the best usable plan of the copy, and
-        the number of mesh points that the copy processed, summed over the iterations of Ipopt. A
-        usable plan is a plan that simulation confirms at lower accuracy than requested.
+        Compiled problem of the mission. Its progress callback, `mission.search`, receives two
+        results of each copy. One is the best usable plan: a plan that simulation confirms at lower
+        accuracy than requested. The other is the number of mesh points, summed over the iterations
+        of Ipopt.
     solves : sequence of callable
         Functions without arguments, each of which solves the problem of `mission`.
 
@@ -90,8 +90,8 @@ class _Sent(NamedTuple):
 
     `solution` is the solution. `usable` is the best usable plan that the copy made: a plan that
     simulation confirms at lower accuracy than requested. `usable` is None if the copy made no
-    usable plan that is better than the one that the original process had before the fork. `work`
-    is the number of mesh points, summed over the iterations of Ipopt.
+    better usable plan than the one that existed before the fork. `work` is the number of mesh
+    points, summed over the iterations of Ipopt.
     """
 
     solution: Solution
@@ -106,11 +106,10 @@ _SHARED: list[object] = []
 def _reduced(sent: object) -> Any:
     """Reduce an object for `pickle`, in a forked copy of this process that sends the object back.
 
-    The list `_SHARED` has the objects that the copy and the original process both have: the
-    problem of the mission and its compiled form. If `sent` is one of these objects, only its index
-    in the list is sent; another object of the same type is sent as a whole. The result is a
-    reduction as the module `pickle` defines it: a function and its arguments, from which the
-    receiver makes the object again.
+    The copy and the original process both have the objects in the list `_SHARED`: the problem of
+    the mission and its compiled form. If `sent` is one of these objects, only its index in the list
+    is sent. Any other object is sent as a whole. The result is a reduction as the module `pickle`
+    defines it: a function and its arguments. The receiver calls this function to get the object.
     """
     for place, shared in enumerate(_SHARED):
         if sent is shared:

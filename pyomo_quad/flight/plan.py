@@ -1,4 +1,4 @@
-"""Plan of a scenario, that is its flight of least energy, and the file that stores the plan."""
+"""Plan of a scenario (its flight of least energy), and the file that stores the plan."""
 
 from __future__ import annotations
 
@@ -60,7 +60,8 @@ class Trajectories:
     Attributes
     ----------
     mesh : Mesh
-        Elements and degrees; n_points collocation points.
+        Elements of the time axis with their polynomial degrees; the mesh has n_points collocation
+        points.
     horizon : (float, float)
         Start and end time [s].
     state_names, control_names, costate_names : tuple of str
@@ -127,7 +128,7 @@ class Trajectories:
 def trajectories_of(solution: Solution) -> Trajectories:
     """Return states, controls, energy and costates of a solution, with the names of the columns.
 
-    Algebraic variables that equations determine are not controls, and are left out.
+    Algebraic variables that equations determine are left out, because they are not controls.
     """
     declared = solution.problem.compiled.declared
     costates = solution.costates
@@ -174,16 +175,16 @@ class PlanStatus(StrEnum):
     VERIFIED
         The simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
-        The simulated flight confirms, to the tolerances `scenario.accuracy.USABLE`, that the plan
-        arrives, keeps all limits and spends the energy stated. These tolerances are those of the
-        lowest accuracy, except that the flight may end half a metre from the goal. The plan may not
-        be optimal: `Plan.energy_uncertainty` estimates how much energy another flight may save.
+        The simulated flight confirms that the plan arrives, keeps all limits and spends the energy
+        stated. The tolerances, `scenario.accuracy.USABLE`, are those of the lowest accuracy, but
+        the flight may end half a metre from the goal. The plan may not be optimal:
+        `Plan.energy_uncertainty` estimates how much energy another flight may save.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED, INFEASIBLE, INTERRUPTED
-        The solve did not converge, found the constraints infeasible, or was stopped, respectively.
-        A mission is called infeasible only if no flight along any route tried kept all limits, not
-        even on a coarse mesh.
+        The solve did not converge, found that no flight keeps all limits, or was stopped. A mission
+        is called infeasible only if no route tried has a flight that keeps all limits, even on a
+        coarse mesh.
     """
 
     VERIFIED = "verified"
@@ -227,8 +228,8 @@ class PlanRecord(Part):
 class _About(Part):
     """Schema of the text part of a plan file, which is JSON.
 
-    It has the scenario, the attributes of the plan, its horizon, and the names of the columns of
-    the arrays.
+    The text part has the scenario, the attributes of the plan, the start and end time of the plan,
+    and the names of the columns of its arrays.
     """
 
     model_config = ConfigDict(ser_json_inf_nan="constants")
@@ -290,10 +291,14 @@ def read_plan_file(path: Path) -> tuple[Scenario, PlanRecord, Trajectories, Warm
 
     Returns
     -------
-    (Scenario, PlanRecord, Trajectories, WarmStart or None)
-        Scenario of the plan, attributes stored as text, arrays, and the warm start: variables and
-        multipliers from which another solve can start. The warm start is None if the file contains
-        none.
+    Scenario
+        Scenario of the plan.
+    PlanRecord
+        Attributes of the plan other than its arrays.
+    Trajectories
+        Arrays of the plan.
+    WarmStart or None
+        Variables and multipliers from which another solve can start; None if the file has none.
 
     Raises
     ------
@@ -443,15 +448,16 @@ class Plan(Summarised):
         simulated, for example because the solve failed.
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If feedback
-        corrected the controls after the solve, it is at least the relative difference between the
-        corrected plan's energy and an estimate of the mission's least energy (as a rule the energy
-        of the uncorrected solution).
+        corrected the controls after the solve, the estimate is at least the relative difference
+        between the plan's energy and the least energy of the mission. As a rule, the energy of the
+        uncorrected solution is taken as the least energy.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
         Ipopt's progress on the last mesh.
     attempts : tuple of str
-        Planning strategies that were tried, in order, with their outcomes.
+        Planning strategies (such as retries from other initial guesses) that were tried, in order,
+        with their outcomes.
     failure : Failure or None
         Diagnosis of a failed solve.
     passing_times_s : tuple of float
@@ -459,8 +465,8 @@ class Plan(Summarised):
     timings : mapping
         Computing time [s] of each phase: build, compile, solve and verify.
     routes : tuple of TriedRoute
-        Result for each route tried, round keep-out zones or through a wind field. The shortest
-        route is first; in a wind field, the route of least estimated energy.
+        Result for each route tried, round keep-out zones or through a wind field. The first is the
+        shortest route or, in a wind field, the route of least estimated energy.
     order_search : OrderSearch or None
         Result of the search for the order of the waypoints; None if the mission gives the order.
     warm_start : WarmStart or None
@@ -471,8 +477,9 @@ class Plan(Summarised):
         Samples of the simulated flight of the verification.
     risk : RiskTaken or None
         Risk for which the plan was made, with margins and test flights. The risk is the probability
-        that a flight in turbulence breaks a limit. None for a plan without margins: such a plan may
-        use all thrust, so that a controller has none left for corrections.
+        that a flight in turbulence breaks a limit. Margins are the amounts by which limits were
+        tightened. None for a plan without margins: such a plan may use all thrust, and leave none
+        for the corrections of a controller.
     """
 
     scenario: Scenario
@@ -514,8 +521,8 @@ class Plan(Summarised):
     def mission_flown(self) -> Scenario:
         """Scenario of the plan, in which all times that the mission leaves free are fixed.
 
-        The times are the duration of the flight and the passing times of the waypoints; they have
-        the values of the plan.
+        The times that may be free are the duration of the flight and the passing times of the
+        waypoints. They have the values of the plan.
         """
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
@@ -562,8 +569,8 @@ class Plan(Summarised):
     def is_optimised(self) -> bool:
         """Whether the plan was made from a solution of the optimal control problem.
 
-        It is False for the first plan of a long search, a flight along the shortest route that is
-        made without an optimisation; see docs/theory/geometric_plan.md.
+        The value is False for a flight along the shortest route that was made without an
+        optimisation. A long search starts with such a plan; see docs/theory/geometric_plan.md.
         """
         return bool(self.history)
 
@@ -571,9 +578,9 @@ class Plan(Summarised):
     def is_flyable(self) -> bool:
         """Whether simulation confirmed the plan to some accuracy.
 
-        This is the case for a verified plan (status `VERIFIED`: to the requested accuracy) and for
-        a usable plan (status `USABLE`: to wider tolerances, with which the flight may end half a
-        metre from the goal).
+        The value is True for the status `VERIFIED`, confirmed to the requested accuracy. It is also
+        True for the status `USABLE`, confirmed to wider tolerances: the flight may end half a metre
+        from the goal.
         """
         return self.status in FLYABLE
 
@@ -582,9 +589,9 @@ class Plan(Summarised):
         """Tolerances on the differences between the plan and the simulation of its controls.
 
         If the differences are within these tolerances, the simulation confirms the plan. For a plan
-        of status `USABLE` the tolerances are `scenario.accuracy.USABLE`, with which the flight may
-        end half a metre from the goal. For any other plan they are those of the accuracy that the
-        scenario requests.
+        of status `USABLE`, the tolerances are `scenario.accuracy.USABLE`: the flight may end half a
+        metre from the goal. For any other plan, they follow from the accuracy that the scenario
+        requests.
         """
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
@@ -593,7 +600,7 @@ class Plan(Summarised):
     def accuracy_reached(self) -> Accuracy | None:
         """Highest accuracy that simulation and error estimate confirm, at most the requested one.
 
-        None if they do not confirm even the lowest accuracy.
+        None if not even the lowest accuracy is confirmed.
         """
         if self.is_verified:
             return self.scenario.solver.accuracy
@@ -606,14 +613,13 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated fraction of the energy that a better flight near the plan may save.
 
-        For a verified plan, the fraction is the smaller of two values: the plan's error estimate,
-        which includes the error of the energy, and the tolerance that the scenario requests.
+        For a verified plan, the fraction is the smaller of the plan's error estimate, which
+        includes the error of the energy, and the tolerance that the scenario requests.
 
-        For a plan that is not verified, the fraction is the relative change of the objective from
-        the second last to the last mesh. If such a plan was solved on one mesh only, the fraction
-        is the error estimate, which is infinite if no error could be estimated. For a plan that is
-        not verified, the fraction is never less than the energy tolerance of the lowest accuracy,
-        `quick`, because two meshes may agree by chance.
+        For any other plan, the fraction is the relative change of the objective from the second
+        last to the last mesh. If there was only one mesh, it is the error estimate, which is
+        infinite if no error could be estimated. In both cases, the fraction is at least the energy
+        tolerance of the lowest accuracy, `quick`, because two meshes may agree by chance.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -632,8 +638,8 @@ class Plan(Summarised):
     def reached(self) -> str:
         """Sentence on the state in which an unfinished search for the plan ended.
 
-        It states the number and the size of the last mesh, the energy, Ipopt's last iteration with
-        its infeasibility, and the estimated error.
+        It states the number and the size of the last mesh, the energy, the number and the
+        infeasibility of Ipopt's last iteration, and the estimated error.
         """
         asked = self.scenario.solver.tolerance
         parts = [
@@ -670,8 +676,8 @@ class Plan(Summarised):
         planned final value. To first order, the estimate is the energy that a mission to the
         flight's final state would save compared with the planned mission. If the least energy is a
         convex function of the final state, the saving is at most this estimate. The energy of the
-        flight plus the estimate is therefore at least the least energy of the planned mission, and
-        so at least any lower bound on that energy.
+        flight plus the estimate is then not less than the least energy of the planned mission, or
+        any lower bound on it.
 
         Parameters
         ----------
@@ -682,8 +688,8 @@ class Plan(Summarised):
         Returns
         -------
         float
-            Estimated energy [J]: positive if the flight ends short of the planned final state,
-            negative if it ends beyond.
+            Estimated energy [J]: positive for a flight that ends short of the planned final state,
+            negative for a flight that ends beyond.
         """
         held = self.trajectories
         planned = dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
@@ -697,9 +703,9 @@ class Plan(Summarised):
     def end_prices(self) -> dict[str, float]:
         """Costates at the end of the plan, by state name [J per unit of the state].
 
-        A costate is the derivative of the energy that the rest of an optimal flight takes, with
-        respect to the present value of the state. The costates at the end give the energy that a
-        flight with a deviation from the goal still needs; see `owed_energy`.
+        The costate of a state is the rate at which the energy for the rest of an optimal flight
+        changes with the present value of the state. From the costates at the end, `owed_energy`
+        estimates how much energy a flight that ends off the goal still needs.
         """
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
@@ -743,7 +749,8 @@ class Plan(Summarised):
         Returns
         -------
         Dataset
-            Variables as the columns of `to_frame`; scenario, status and energy are attributes.
+            One variable for each column of the table that `to_frame` returns. Scenario, status and
+            energy are attributes of the dataset.
 
         Examples
         --------
@@ -768,8 +775,8 @@ class Plan(Summarised):
     def times(self, rate_hz: float | None = None) -> FloatArray:
         """Return the times [s] of the rows in the table of the plan, which `to_frame` returns.
 
-        By default they are the times of the mesh nodes. If a sampling rate ``rate_hz`` [Hz] is
-        given, they are equally spaced times from the start to the end of the flight.
+        By default, the times are those of the mesh nodes. With a sampling rate ``rate_hz`` [Hz],
+        the times are equally spaced from the start to the end of the flight.
 
         Raises
         ------
@@ -806,8 +813,8 @@ class Plan(Summarised):
         """Return all quantities of the plan at a time `t` [s], or at several times.
 
         The quantities are the columns of the table that the method `to_frame` returns. For a single
-        time the result is a series, whose name is the time. For several times the result is a table
-        with one row for each time, whose index is the time.
+        time, the result is a series with the time as its name. For several times, the result is a
+        table with one row for each time, and the time as its index.
 
         Raises
         ------
@@ -960,8 +967,8 @@ class Plan(Summarised):
     def load(cls, path: str | Path) -> Self:
         """Read a plan from a file that `save` wrote.
 
-        The file does not contain equations, so that the plan cannot be simulated. Another solve can
-        start from the plan in the same way as from the original plan.
+        The plan cannot be simulated, because the file does not contain equations. Another solve can
+        start from it as from the original plan.
 
         Parameters
         ----------

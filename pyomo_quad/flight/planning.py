@@ -1,7 +1,7 @@
 """Planner, which makes a verified plan from a scenario.
 
-It compiles the optimal control problem of the scenario, and solves it by strategies, such as a
-first solve and retries from other initial guesses (see `flight.strategies`). It then
+The planner compiles the optimal control problem of the scenario. It tries several ways to solve the
+problem: a first solve, and retries from other initial guesses (see `flight.strategies`). It then
 verifies the plan by simulation.
 """
 
@@ -42,9 +42,10 @@ class Planner(Problems):
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context manager for a series of solves that the user may stop together.
 
-        The value that the manager gives to a `with` statement is a function without arguments. The
-        function returns whether the user has stopped one of the solves. In this class it always
-        returns False; in the planner of the command line it returns whether Ctrl-C was pressed.
+        In `with planner.until_stopped() as is_stopped`, the name `is_stopped` is a function without
+        arguments. The function returns whether the user has stopped one of the solves. In this
+        class it always returns False. In the planner of the command line it returns whether Ctrl-C
+        was pressed.
         """
         return nullcontext(lambda: False)
 
@@ -63,23 +64,23 @@ class Planner(Problems):
         scenario : Scenario
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
-            A plan of a similar scenario, or a warm start stored in a plan file or by a sweep. Its
-            trajectory is the initial point of the solve. Its multipliers are used too, if both
-            problems have the same equations.
+            A plan of a similar scenario, or the initial point (warm start) that a plan file or a
+            sweep has stored. The solve starts from its trajectory. Its multipliers are used too, if
+            both problems have the same equations.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
-            Called at each iteration with the `State` of the search, for a progress display.
+            Called at each iteration with the `State` of the solves, for a progress display.
 
         Returns
         -------
         Plan
-            The plan with its status; a failed solve gives a plan with a failed status, not an
-            exception. A usable plan is a plan that simulation confirms at lower accuracy than
-            requested. The best usable plan is returned if the search is stopped, if it fails later,
-            or if it exceeds the time limit of the scenario, `solver.time_limit` (processor time,
-            verification included). Without a usable plan, the plan returned has a failed status.
-            Apart from the time limit, no result depends on the speed of the machine.
+            The plan with its status. A solve that fails, is stopped or exceeds its time limit
+            raises no exception. It returns the best usable plan: a plan that simulation confirms at
+            lower accuracy than requested. Without a usable plan, the plan returned has a failed
+            status. The time limit is `solver.time_limit` of the scenario, in processor time
+            including verification. Apart from the time limit, no result depends on the speed of the
+            machine.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
@@ -98,8 +99,8 @@ class Planner(Problems):
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
         """Solve a mission whose waypoints may be visited in any order.
 
-        The result is the plan of the cheapest order found. `solve` makes a plan for a scenario
-        whose waypoints are in a given order. `search` is the progress callback of all solves.
+        The result is the plan for the cheapest order found. `solve` makes a plan for a scenario
+        with a given order of its waypoints. `search` is the progress callback of all solves.
         """
         orders = BestOrder(self, scenario, search)
         table = [
@@ -113,14 +114,14 @@ class Planner(Problems):
         """Solve for a flight in nearly the least duration of the mission.
 
         First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
-        durations that decrease towards the least duration, each from the previous solution. The
-        plan returned is the one of the shortest duration that a simulation confirms to the
-        requested accuracy, or the first one if there is none.
+        durations that decrease towards the least duration. Each solve starts from the previous
+        solution. The result is the plan of the shortest duration that a simulation confirms to the
+        requested accuracy. If no plan is confirmed, the result is the first plan.
 
-        If the minimum-time problem cannot be solved, the mission is solved for the least energy,
-        without the aim of least time. The plan of this solve is returned with the status "not
-        converged". Only this solve uses `start`, its initial point (None for the model's own).
-        `search` is the progress callback of all solves.
+        If the minimum-time problem cannot be solved, the mission is solved for the least energy
+        instead. Its plan is returned with the status "not converged". Only this solve uses the
+        initial point `start`; None stands for the model's own initial point. `search` is the
+        progress callback of all solves.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)
@@ -161,8 +162,8 @@ def solve_scenario(
     builder : callable, optional
         Takes a scenario and builds its Pyomo model; `build_model` by default.
     warm_start : Plan or WarmStart, optional
-        A plan of a similar scenario, or a warm start stored in a plan file or by a sweep; the solve
-        starts from it.
+        A plan of a similar scenario, or the initial point (warm start) that a plan file or a sweep
+        has stored. The solve starts from it.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
 

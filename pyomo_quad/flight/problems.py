@@ -33,10 +33,10 @@ Builder = Callable[[Scenario], Any]
 def _start_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    The key is used to decide whether the cached problem of another scenario can simulate a
-    scenario. It is for scenarios of fixed duration. The key is the scenario without three parts on
-    which the initial states of its problem do not depend: the duration, the wind, and the settings
-    of baseline flights (flights of a controller along a reference, with which a plan is compared).
+    If two keys are equal, the cached problem of one scenario can be used to simulate the other. The
+    key is for scenarios of fixed duration. The initial states do not depend on three parts of a
+    scenario, which the key omits: the duration, the wind, and the settings of baseline flights. In
+    a baseline flight, a controller follows a reference other than the plan, for comparison.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -49,10 +49,10 @@ _WIND = ("wind.velocity_x", "wind.velocity_y")
 class Problems:
     """Compiler of scenarios, which caches compiled problems.
 
-    Scenarios of the same structure, which differ only in parameter values, share a compiled
-    problem. Problems of the package's own model are in a cache that all planners of the process
-    share. Initial guess and scaling are always computed for the scenario to be solved, so that no
-    result depends on earlier solves.
+    Scenarios that differ only in parameter values share a compiled problem. Problems of the
+    package's own model are in a cache that all planners of the process share. Initial guess and
+    scaling are always computed for the scenario to be solved. No result therefore depends on
+    earlier solves.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ class Problems:
     def problem_for(self, scenario: Scenario) -> tuple[Problem, dict[str, float]]:
         """Return the compiled problem of a scenario, and the time spent on it [s] by phase.
 
-        The phases are "build" (of the Pyomo model) and "compile"; both times are zero for a problem
-        from the cache.
+        The phases are "build", in which the Pyomo model is built, and "compile". Both times are
+        zero for a problem from the cache.
         """
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
@@ -123,8 +123,8 @@ class Problems:
         Steady flight is hover, or flight at a constant velocity. The calculator is cached by
         scenario.
 
-        `known` gives the initial values, by name, of those states of a user's own model that the
-        mission does not define.
+        A user's own model may have states that the mission does not define. `known` maps the names
+        of these states to their initial values.
         """
         steady = self._steady.get(scenario)
         if steady is None:
@@ -144,8 +144,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        They include the limits that apply to simulated flights: a simulated flight may use the
-        thrust that plans leave unused as a reserve for the controller.
+        The result includes the limits of simulated flights. Plans leave some thrust unused, as a
+        reserve for the controller; simulated flights may use this reserve.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):
@@ -156,13 +156,15 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        Scenarios of the same structure share a cached problem, which was built for one of them. The
-        result is True if `scenario` differs from that one only in a fixed duration, in its wind,
-        or in its settings of baseline flights (flights of a controller along a reference, with
-        which a plan is compared). If the duration of either scenario is free, they may differ only
-        in their wind. The result is False if the cache has no such problem, for a user's own model,
-        and for a wind measured over time, because the model samples this wind at fractions of the
-        duration.
+        Scenarios that differ only in parameter values share a cached problem, which was built for
+        one of them. Without a cached problem, the result is False.
+
+        The result is True if `scenario` and the scenario of the cached problem differ only in their
+        wind. If both have a fixed duration, they may also differ in the duration and in the
+        settings of baseline flights (flights of a controller along a reference, for comparison).
+
+        The result is always False for a user's own model. It is also False for a wind measured over
+        time, because the model samples this wind at fractions of the duration.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         if built_for is None or not self.is_declared or scenario.wind.series is not None:

@@ -57,14 +57,14 @@ def refuse_unproven(
     scenario : Scenario
         Scenario of the plan.
     planned : Trajectories
-        The plan. States that the equations do not have are ignored; a state that the plan does not
-        have starts from the value that the mission prescribes.
+        The plan. A state that only the plan has is ignored. A state that only the equations have
+        starts from the value that the mission prescribes.
     energy : float
-        Energy of the whole flight that the plan states [J].
+        Energy of the whole flight, as stated by the plan [J].
     passing_times_s : tuple of float
         Time at which the plan passes each waypoint [s].
     allowed : Figures
-        Largest differences allowed between the plan and its simulated flight; the tolerance `miss`
+        Largest differences allowed between the plan and its simulated flight. The tolerance `miss`
         applies to every state at all times, and to the waypoints.
     dynamics : Dynamics, optional
         The plan's equations, if available; otherwise the scenario is compiled.
@@ -109,9 +109,10 @@ def _refuse_failed(
 ) -> None:
     """Raise a ScenarioError if a plan's simulated flight does not meet the tolerances.
 
-    Limits, energy, waypoints and the supply by the battery are checked. `verification` compares the
-    simulated flight with the plan, `energy` is the energy that the plan states [J], and `allowed`
-    has the tolerances. `scenario` gives the name of the mission for the error message.
+    The function checks the limits, the energy, the waypoints, and whether the battery can supply
+    the power. `verification` compares the simulated flight with the plan. `energy` is the energy
+    that the plan states [J]. `allowed` has the tolerances. `scenario` gives the name of the mission
+    for the error message.
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
@@ -169,13 +170,13 @@ def _refuse_other_times(
 def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> Trajectories:
     """Return a plan with its states and controls in the order of given equations.
 
-    A state that the plan does not have gets the initial value that the mission prescribes, and is
-    NaN afterwards.
+    A state that is missing in the plan gets the mission's initial value at the start, and NaN
+    afterwards.
 
     Parameters
     ----------
     scenario : Scenario
-        Mission, which prescribes missing initial values.
+        The mission, which gives the initial values of missing states.
     planned : Trajectories
         The plan.
     dynamics : Dynamics
@@ -184,7 +185,7 @@ def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> T
     Raises
     ------
     ScenarioError
-        If a control is missing, or the initial value of a state.
+        If the plan lacks a control, or if the mission lacks the initial value of a missing state.
     """
     missing = set(dynamics.control_names) - set(planned.control_names)
     if missing:
@@ -221,9 +222,8 @@ def _refuse_other_ends(
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
     `scenario` has the mission. `states` has the planned states at the nodes, shape (n_points + 1,
-    n_states), in the order of the equations `dynamics`. `allowed` has the tolerances; its attribute
-    `miss` is the one used here, relative to the larger of 1 and the value that the mission
-    prescribes.
+    n_states), in the order of the equations `dynamics`. The tolerance is `allowed.miss`, times the
+    larger of 1 and the value that the mission prescribes.
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
@@ -249,10 +249,10 @@ def _refuse_astray(
 ) -> None:
     """Raise a ScenarioError if the simulated states deviate from the states of the plan.
 
-    `planned` is the plan, and `flown` has the simulated states, which follow from the plan's
-    controls and the equations `dynamics`. `allowed` has the tolerances; its attribute `miss`,
-    relative to the larger of 1 and the planned value, applies to every state at all times.
-    `scenario` gives the name of the mission for the error message.
+    `planned` is the plan. `flown` has the states that a simulation of the plan's controls gives,
+    with the equations `dynamics`. The tolerance is `allowed.miss`, times the larger of 1 and the
+    planned value. It applies to every state at all times. `scenario` gives the name of the mission
+    for the error message.
     """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""

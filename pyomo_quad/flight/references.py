@@ -7,8 +7,8 @@ minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration an
 plan | the optimal plan, as cubic splines through its samples | the states of the plan
 cruise | straight legs at a constant speed (module `routes`) | at rest, as at every corner
 
-The plan includes the effect of the forecast wind on the vehicle, so that the controller adapts only
-to the difference from the forecast. The other references ignore the wind.
+The plan includes the effect of the forecast wind on the vehicle. The controller therefore adapts
+only to the difference from the forecast. The other references ignore the wind.
 
 The quintic minimises the integral of the squared jerk; the polynomial of degree 7 minimises the
 integral of the squared snap [1]_. Both go straight from start to goal in the duration of the
@@ -41,10 +41,9 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    If the reference is a plan, its accelerations are only the part that the rotors cause, without
-    the part that the air causes according to the plan. `tilting` then has the rates and
-    accelerations of roll and pitch. It is None for other references, which do not define the
-    attitude.
+    If the reference is a plan, the accelerations include only the part that the rotors cause. The
+    part that the air causes is left out. `tilting` has the rates and accelerations of roll and
+    pitch of a plan. Other references do not define the attitude, so that `tilting` is None.
     """
 
     place: Sequence[float]
@@ -73,7 +72,8 @@ class StraightPath:
     mission : Mission
         The mission, which gives start, goal and duration.
     progress : Polynomial
-        Travelled fraction of the line as a function of the elapsed fraction of the duration.
+        Fraction of the line that is travelled, as a function of the elapsed fraction of the
+        duration.
     """
 
     def __init__(self, mission: Mission, progress: Polynomial) -> None:
@@ -100,9 +100,10 @@ class StraightPath:
 
 
 def quintic_progress(elapsed: FloatArray) -> FloatArray:
-    """Return the travelled fraction of a motion from rest to rest along a quintic polynomial.
+    """Return the fraction of a way that is travelled, for a motion from rest to rest.
 
-    `elapsed` holds fractions of the duration, from 0 to 1.
+    The fraction is a polynomial of degree 5 in time. `elapsed` holds elapsed fractions of the
+    duration, from 0 to 1; the result has the same shape.
     """
     return np.asarray(_QUINTIC(elapsed))
 
@@ -124,9 +125,9 @@ class WaypointPath:
     mission : Mission
         Mission with a time for each waypoint and a fixed duration.
     derivatives : int
-        Number n of time derivatives of the position that are zero at rest, the velocity being the
-        first. The spline has degree 2 n + 1, and minimises the integral of the square of the
-        derivative of order n + 1.
+        Number n of time derivatives of the position that are zero at rest. The first of them is the
+        velocity. The spline has degree 2 n + 1. It minimises the integral of the squared derivative
+        of order n + 1.
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
@@ -156,9 +157,9 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    The reference is at the first waypoint from the start of the flight. It stays at each waypoint
-    until the time at which the vehicle is to leave the waypoint (its prescribed time, plus the
-    duration of its hover), and then jumps to the next waypoint or to the goal.
+    From the start of the flight, the reference is at the first waypoint. It stays at each waypoint
+    until the vehicle is to leave the waypoint: at its prescribed time plus the duration of its
+    hover. Then it jumps to the next waypoint or to the goal.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -174,9 +175,10 @@ class _Steps:
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
     """Return the places of a mission in order, and the times at which they are to be reached.
 
-    The places are start, waypoints and goal. Each place is a list of x, y, z [m] and yaw [rad]; a
-    yaw that the mission does not prescribe is interpolated in time. The times are in s: zero for
-    the start, the prescribed time of each waypoint, and the duration for the goal.
+    The places are start, waypoints and goal. Each place is a list of x, y, z [m] and yaw [rad]. If
+    the mission does not prescribe the yaw at a waypoint, the yaw is interpolated in time. The times
+    are in s: zero for the start, the prescribed time of each waypoint, and the duration of the
+    mission for the goal.
 
     Raises
     ------
@@ -203,8 +205,8 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 def step(mission: Mission) -> ReferencePath:
     """Return the reference path that jumps to each waypoint of a mission in turn and to the goal.
 
-    The path is at the first waypoint from the start of the flight. At the time at which a waypoint
-    is left, the path jumps to the next waypoint or to the goal. Without waypoints the path is at
+    From the start of the flight, the path is at the first waypoint. When the vehicle is to leave a
+    waypoint, the path jumps to the next waypoint or to the goal. Without waypoints, the path is at
     the goal from the start.
     """
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
@@ -213,8 +215,8 @@ def step(mission: Mission) -> ReferencePath:
 def quintic(mission: Mission) -> ReferencePath:
     """Return the reference path from rest to rest with the least integral of the squared jerk.
 
-    The path is a polynomial of degree 5 in time from start to goal of the mission or, if the
-    mission has waypoints, a spline of this degree through the waypoints.
+    The path is a polynomial of degree 5 in time from start to goal of the mission. If the mission
+    has waypoints, it is a spline of this degree through the waypoints.
     """
     return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
@@ -238,7 +240,8 @@ class SampledPath:
     times : array_like, shape (n,)
         Increasing times, s.
     values, rates, accelerations : array_like, shape (n, 4)
-        Columns x, y, z in m and yaw in rad, and their first two derivatives.
+        Samples of x, y, z [m] and yaw [rad] in columns, and their first and second time
+        derivatives.
     """
 
     def __init__(
@@ -254,9 +257,9 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Before the first and after the last sample, the setpoint has the position and acceleration
-        of this sample and zero velocity. A controller that looks ahead needs a setpoint that does
-        not change after the end.
+        Outside the samples, the setpoint has the position and acceleration of the nearest sample,
+        and zero velocity. A controller that looks ahead needs a setpoint that does not change after
+        the end.
         """
         row, is_inside = self._row(t)
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
@@ -265,19 +268,19 @@ class SampledPath:
 class PlannedPath:
     """Plan as a reference path: a separate cubic spline through the samples of each quantity.
 
-    The polynomials of a plan satisfy its equations at the collocation points only. The second
-    derivative of the position between these points differs from the planned acceleration: an error
-    of d metres in the position between two samples that are h seconds apart becomes an error of
-    about 6 d/h^2 in the acceleration. Therefore velocities and accelerations are not derivatives of
-    the position, but have their own splines through planned values.
+    The polynomials of a plan satisfy its equations at the collocation points only. Between these
+    points, the second derivative of the position differs from the planned acceleration. For samples
+    that are h seconds apart, a position error of d metres becomes an acceleration error of about 6
+    d/h^2. Velocities and accelerations are therefore not derived from the position. They have their
+    own splines through planned values.
 
     Parameters
     ----------
     times : ndarray, shape (n,)
         Increasing times [s].
     values, rates, accelerations : ndarray, shape (n, 4)
-        Columns x, y, z in m and yaw in rad, their first derivatives, and the part of their second
-        derivatives that the rotors cause.
+        Samples of x, y, z [m] and yaw [rad] in columns, their first time derivatives, and the part
+        of their second time derivatives that the rotors cause.
     tilt_rates : ndarray, shape (n, 2)
         Rates of roll and pitch [rad/s].
     """
@@ -299,8 +302,8 @@ class PlannedPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Before the first and after the last sample, the setpoint has the position and acceleration
-        of this sample, and all rates are zero.
+        Outside the samples, the setpoint has the position and acceleration of the nearest sample,
+        and all rates are zero.
         """
         row, is_inside = self._row(t)
         moving = (row[4:8], row[12:]) if is_inside else (_AT_REST, _AT_REST)
@@ -308,10 +311,10 @@ class PlannedPath:
 
 
 class _Pieces:
-    """Piecewise polynomials of several quantities over time, with the same break times (knots).
+    """Piecewise polynomials of several quantities over time, with common break times (knots).
 
-    Reference paths consist of such quantities: position, yaw and their derivatives. All quantities
-    are evaluated together by one matrix product, which costs no more than evaluating one of them.
+    The quantities are those of a reference path: position, yaw and their derivatives. One matrix
+    product evaluates all quantities, at the cost of evaluating one of them.
     """
 
     def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:

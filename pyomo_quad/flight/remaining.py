@@ -1,16 +1,16 @@
 """Solves of the remaining mission during a flight (re-planning), with soft limits.
 
-A re-plan is a new plan for the rest of the mission, made in flight.  It ends at the goal, or in the
-next hover at a waypoint, because later parts of the mission do not affect a hovering vehicle.  Its
-limits are soft: they may be violated at a penalty (see `model.soft_limits`). They are
-tightened by the margins of the plan made before take-off (see `flight.margins`).  The
-mesh has short elements at the present time, where a disturbance is corrected, and near the passages
-of waypoints; it has long elements elsewhere.  The clearance from keep-out zones is three
-centimetres larger than the mission requires, to allow for the error of a coarse mesh.
+A re-plan is a new plan for the rest of the mission, made in flight. It ends at the goal, or in the
+next hover at a waypoint. Later parts of the mission do not affect a hovering vehicle. The limits of
+a re-plan are soft: they may be violated at a penalty (see `model.soft_limits`). They are tightened
+by the margins of the plan made before take-off (see `flight.margins`). The mesh has short elements
+at the present time, where a disturbance is corrected, and near the passages of waypoints. Elsewhere
+the elements are long. The clearance from keep-out zones is three centimetres larger than the
+mission requires, to allow for the error of a coarse mesh.
 
-The remaining mission after each waypoint has its own equations, which are compiled and solved once
-before take-off. docs/theory/soft_limits.md, eqs. (1) to (3), derives the penalty and the state from
-which a re-plan starts.
+The remaining mission after each waypoint has its own equations. They are compiled and solved once
+before take-off. For the penalty and the initial state of a re-plan, see docs/theory/soft_limits.md,
+eqs. (1) to (3).
 """
 
 from collections.abc import Callable, Mapping
@@ -147,11 +147,10 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time from which on the plan is not replaced until the next waypoint or the end [s].
+        """Time after which no new plan is made until the next waypoint or the end [s].
 
-        From this time the vehicle follows its last plan. A new plan that starts shortly before a
-        place where it must arrive exactly would counteract every gust, however much energy this
-        costs.
+        After this time the vehicle follows its last plan. A plan that starts shortly before a place
+        where it must arrive exactly would counteract every gust, at any cost of energy.
         """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
@@ -160,11 +159,11 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times that belong to fractions of the horizon, for a plan from time t [s] on.
+        """Return the times at fractions of the horizon, for a plan that starts at time t [s].
 
-        The compiled problem has its start, its passages of waypoints and its end at fixed fractions
-        of the horizon. The result assigns to these fractions the times of a plan that starts at
-        time t; between them, time is linear.
+        In the compiled problem, the start, the passages of waypoints and the end are at fixed
+        fractions of the horizon. The result assigns to these fractions the times of the plan.
+        Between them, time is linear in the fraction.
         """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
@@ -174,11 +173,10 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        It has short elements at the present time, the waypoints and the end. Solves at successive
-        times share one mesh as long as possible, because a solve on the mesh of the previous solve
-        can reuse the structure of the equations. A new mesh, for the shorter remaining time, is
-        made each time a fifth of the time that remained until the next waypoint or the end has
-        passed.
+        The mesh has short elements at the present time, the waypoints and the end. Solves at
+        successive times often have the same mesh, because a solve can then reuse the structure of
+        the previous equations. A mesh is used until a fifth of the time to the next waypoint, or to
+        the end, has passed. The next mesh is for the shorter remaining time.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -196,6 +194,7 @@ class Remainder:
 
         The result maps "time" to the times of the samples [s], and the full name of each variable
         to its values at these times; all arrays have the same length. `known` is the known plan.
+        The samples end at the end of the remaining mission.
         """
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
@@ -209,8 +208,8 @@ class Remainder:
 def _graded(start: float, stop: float) -> list[float]:
     """Return the breakpoints of mesh elements between the times `start` and `stop` [s].
 
-    The breakpoints are times [s], in increasing order; `start` and `stop` themselves are not among
-    them. The elements are short near `start` and `stop`, and long in the middle.
+    The breakpoints are times [s], in increasing order, without `start` and `stop` themselves. The
+    elements are short near `start` and `stop`, and long in the middle.
     """
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
@@ -234,8 +233,8 @@ class Course:
     belief : Belief
         Mass and acceleration by the air that the plan assumes.
     estimate : ndarray, shape (3,)
-        Estimated acceleration that the plan's equations do not explain [m/s^2]; `belief` was
-        computed from it.
+        Estimate of the acceleration that the plan's equations do not explain [m/s^2]. `belief` was
+        computed from this estimate.
     """
 
     plan: Trajectories
