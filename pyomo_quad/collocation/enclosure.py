@@ -218,18 +218,18 @@ class _Steps:
         """Return the elementary operation number `k` of the CasADi function, counted from 0.
 
         CasADi stores intermediate results in a work array. An operation reads its arguments from
-        this array, and writes its results to it.
+        the work array, and writes its results to the work array.
 
         Returns
         -------
         int
             CasADi's code of the operation, such as `casadi.OP_ADD`.
         list of int
-            Positions of the arguments in the work array. For an input of the function: the number
-            of the input, and the position of the value in it.
+            Positions of the arguments in the work array. For an operation that reads an input of
+            the function: the number of the input, and the position of the value in the input.
         list of int
-            Positions of the results in the work array. For an output of the function: the number of
-            the output, and the position of the value in it.
+            Positions of the results in the work array. For an operation that writes an output of
+            the function: the number of the output, and the position of the value in the output.
         float
             Value of a constant; 0 for other operations.
         """
@@ -247,10 +247,18 @@ class _Steps:
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
         """Return lower and upper bounds of the function's outputs over n boxes.
 
-        `low` and `high` are the lower and upper corners of the boxes of the function's first
-        argument, shape (n_variables, n). `numbers` are the values of its second argument, which are
-        not intervals. The result has for each output a pair of lower and upper bounds, each with
-        one row per component of the output and one column per box.
+        Parameters
+        ----------
+        low, high : ndarray, shape (n_variables, n)
+            Lower and upper corners of the boxes, over which the function's first argument ranges.
+        numbers : array_like, shape (n_numbers,)
+            Values of the function's second argument, which are single numbers.
+
+        Returns
+        -------
+        tuple of (ndarray, ndarray)
+            For each output of the function: its lower bounds and its upper bounds. Both arrays have
+            one row per component of the output, and one column per box.
         """
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}

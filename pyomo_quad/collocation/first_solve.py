@@ -42,8 +42,9 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 class FirstSolve(Search[S], Generic[S]):
     """Search for a first solution of a problem, trying fallback strategies in a fixed order.
 
-    The first strategy solves as the caller requested. If that solve fails, its feasibility is
-    examined, and further strategies change the initial point, the mesh or the settings of Ipopt.
+    The first strategy solves as the caller requested. If this solve fails, the feasibility of the
+    problem is examined. Further strategies then change the initial point, the mesh or the settings
+    of Ipopt.
 
     Attributes
     ----------
@@ -52,12 +53,13 @@ class FirstSolve(Search[S], Generic[S]):
         `start` is a guess or a warm start, `options` are settings of Ipopt, and `is_scaled` is
         whether Ipopt solves the scaled program.
     finish : callable
-        Function (solve, mesh, start) -> solution. If the caller gave a tolerance, `mesh` is refined
-        until the tolerance is met, and the solution is that on the last mesh. The argument `solve`
-        is a function that solves on one mesh, such as the attribute `solve`.
+        Function (solve, mesh, start) -> solution. The argument `solve` is a function that solves on
+        one mesh, such as the attribute `solve`. If the caller gave a tolerance, the function
+        refines `mesh` until the tolerance is met, and returns the solution on the last mesh.
     judge : callable
-        Takes a failed solution and minimises the constraint violation (elastic program); returns
-        the solution with a message that names the equations which cannot be satisfied together.
+        Function (failed solution) -> the same solution with a message. The function minimises the
+        constraint violation near the failed solution. The message names the equations that cannot
+        be satisfied together.
     mesh : Mesh, list of Mesh, or None
         Initial mesh, a list for several horizons, None for a model without time.
     start : Start
@@ -104,11 +106,16 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        A strategy has such conditions, and is tried only if all of them are true. This class
-        evaluates two conditions: whether the feasibility of the problem has been examined after the
-        failed solve (`Fact.JUDGED`), and whether, in addition, this examination has not found the
-        problem infeasible (`Fact.POSSIBLE`). For any other condition the result is False; the
-        subclass for one horizon evaluates more conditions.
+        Each strategy has a list of conditions. The strategy is tried only if all of them are true.
+        This class evaluates two conditions:
+
+        - `Fact.JUDGED`: the solve that the caller requested has failed, and the feasibility of the
+          problem has been examined since;
+        - `Fact.POSSIBLE`: the feasibility has been examined, and the problem was not found
+          infeasible.
+
+        For any other condition the result is False. The subclass for one horizon evaluates more
+        conditions.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -152,8 +159,9 @@ class FirstSolve(Search[S], Generic[S]):
         Returns
         -------
         Solution, JointSolution or None
-            Result; if the caller gave a tolerance, the result on the last of the refined meshes. A
-            subclass returns None if the problem has no initial point of this kind.
+            Converged or failed result. If the caller gave a tolerance, the result on the last of
+            the refined meshes. A subclass returns None if the problem has no initial point of the
+            kind `first`.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -161,10 +169,12 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        Any successful result ends the search. A failed result of a fallback strategy does not end
-        the search. The failed result of the solve that the caller requested ends the search in two
-        cases: the solve diverged, because the problem is unbounded; or the caller's settings of
-        Ipopt allow fewer than 200 iterations.
+        A successful result always ends the search. The failed result of a fallback strategy never
+        ends the search. The failed result of the solve that the caller requested ends the search in
+        two cases:
+
+        - the solve diverged, because the problem is unbounded;
+        - the caller's settings of Ipopt allow fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -191,8 +201,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     ----------
     bounds_of : callable
         Function from a nonlinear program on one mesh (a `Transcription`) to the bounds of its
-        unknowns and constraints. These bounds include all conditions (constraints at single times),
-        also redundant conditions.
+        unknowns and constraints. The bounds include all conditions (constraints at single times),
+        even redundant conditions.
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
         trajectory. The function returns None if the model has controls or free initial states,
@@ -205,7 +215,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     is_overdetermined : bool
         Whether the model has more equations than free unknowns.
     is_mesh_free : bool
-        Whether the first mesh may be changed, because the caller gave none.
+        Whether the first mesh may be changed: the caller gave neither a mesh nor a warm start.
     """
 
     bounds_of: Callable[[Transcription], Bounds]
@@ -218,8 +228,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        A strategy has such conditions, and is tried only if all of them are true. This class
-        evaluates five conditions:
+        Each strategy has a list of conditions. The strategy is tried only if all of them are true.
+        This class evaluates five conditions:
 
         - `Fact.ONE_HORIZON`: the problem has one horizon only, which is always true here;
         - `Fact.OVERDETERMINED`: the model has more equations than free unknowns, and nothing has
@@ -253,7 +263,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         - `First.PRICED`: the optimum of the elastic program, in which the equations over time may
           be violated at a penalty;
         - `First.REDUCED`: the point of least constraint violation near the caller's warm start or
-          guess. The solve from this point leaves out redundant conditions, constraints at single
+          guess. The solve from this point leaves out redundant conditions: constraints at single
           times that follow from the other equations.
 
         Parameters
@@ -269,9 +279,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         Returns
         -------
         Solution or None
-            Result; if the caller gave a tolerance, the result on the last of the refined meshes.
-            None if the problem has no initial point of this kind; for `First.REDUCED` also if the
-            solve fails, or if its solution violates a condition that was left out.
+            Converged or failed result. If the caller gave a tolerance, the result on the last of
+            the refined meshes. None if the problem has no initial point of the kind `first`. For
+            `First.REDUCED`, also None if the solve fails, or if its solution violates a condition
+            that was left out.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
@@ -298,7 +309,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         """Return the result `found` of a solve, with an added message in two special cases.
 
         A solve that diverged gets a message that names the unbounded variable. A successful solve
-        of a model with more equations than free unknowns gets a note on its redundant equations. In
+        of a model with more equations than free unknowns gets a note on the redundant equations. In
         all other cases `found` is returned unchanged.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
@@ -307,11 +318,14 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, and check that the solution satisfies them.
 
-        A condition is a constraint at a single time. It is redundant if it follows from the other
-        equations: for example an end condition on a conserved quantity. Redundant conditions are
-        detected at the point of least constraint violation near the warm start or guess that the
-        caller gave, and the solve starts from this point. With the redundant conditions imposed,
-        the problem on a coarse mesh might have no solution, or spurious solutions.
+        A condition is a constraint at a single time. A condition is redundant if it follows from
+        the other equations, for example an end condition on a conserved quantity. If redundant
+        conditions are imposed on a coarse mesh, the problem on this mesh may have no solution, or
+        spurious solutions.
+
+        First, the constraint violation is minimised near the caller's warm start or guess. The
+        redundant conditions are detected at the resulting point, and the solve starts from this
+        point.
 
         Parameters
         ----------

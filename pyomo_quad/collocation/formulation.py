@@ -1,8 +1,11 @@
 """Compiled Pyomo.DAE model: its equations, its data, and its nonlinear programs on meshes.
 
-The module also evaluates any component of the model, solves for output states (states that no other
-equation depends on), and computes the structural index, the number of times by which the equations
-must be differentiated to obtain an ODE.
+The module also does three other tasks:
+
+- It evaluates any component of the model.
+- It computes output states: states on which neither the objective nor other equations depend.
+- It computes the structural index: the number of times by which the equations must be
+  differentiated to obtain an ODE.
 """
 
 from __future__ import annotations
@@ -96,11 +99,16 @@ class Evaluator:
     """Compiler and evaluator of model components at points, with a cache of compiled functions.
 
     A component is a variable, derivative or named expression over time. Its CasADi function has
-    five inputs, evaluated at one time: the rates (derivatives of the states with respect to the
-    fraction of the horizon), the states, the algebraic variables, the static variables (without
-    time), and the data (fraction of the horizon, time-dependent parameters, constant parameters).
-    The first two inputs hold the states of the nonlinear program first, and then the output states,
-    on which neither objective nor other equations depend.
+    five inputs, evaluated at one time:
+
+    - rates: derivatives of the states with respect to the fraction of the horizon;
+    - states;
+    - algebraic variables;
+    - static variables, which do not depend on time;
+    - data: fraction of the horizon, time-dependent parameters, constant parameters.
+
+    Rates and states begin with the states of the nonlinear program. The output states follow:
+    states on which neither the objective nor other equations depend.
 
     Parameters
     ----------
@@ -136,11 +144,11 @@ class Evaluator:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the recipe by which `pickle` stores this evaluator, as Python's protocol requires.
 
-        CasADi expressions cannot be pickled one by one. The recipe therefore holds the expressions
-        of all components of the model, and the symbols of their inputs, serialised into a single
-        text. For a component that cannot be written as an expression it holds the reason. The
-        recipe does not need the Pyomo model, and contains no compiled functions: the restored
-        evaluator compiles them again at first use.
+        CasADi expressions cannot be pickled one by one. The recipe therefore holds a single text
+        with the serialised expressions of all components of the model, and the symbols of their
+        inputs. If a component cannot be written as an expression, the recipe holds the reason. The
+        recipe contains neither the Pyomo model nor compiled functions. The restored evaluator
+        compiles the functions again at first use.
 
         Returns
         -------
@@ -157,7 +165,7 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return this evaluator itself, which the copies of a formulation share.
+        """Return this evaluator itself, because all copies of a formulation use the same evaluator.
 
         An evaluator holds no parameter values, and therefore need not be copied. `memo` is required
         by the protocol of `copy.deepcopy`, and is not used.
@@ -563,11 +571,12 @@ class Formulation:
     def data_at_starts(self, instance: Instance) -> FloatArray:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
-        A jump is a discontinuity of a time-dependent parameter. None of these times is a
-        collocation point. The function `bounds_of` of the module `program.bounds` needs the
-        parameters at these times to evaluate the bounds of variables there. `instance` holds the
-        parameter values of one solve. The result has shape (1 + n_jumps, n_data). Its columns are
-        the fraction of the horizon, the time-dependent parameters and the constant parameters.
+        A jump is a discontinuity of a time-dependent parameter. The function `bounds_of` of the
+        module `program.bounds` needs these values to evaluate the bounds of variables at these
+        times. `instance` holds the parameter values of one solve.
+
+        The result has shape (1 + n_jumps, n_data). The columns are the fraction of the horizon, the
+        time-dependent parameters and the constant parameters.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -589,9 +598,8 @@ class Formulation:
     def timeline(self, statics: FloatArray, instance: Instance) -> Timeline:
         """Return the mapping between fractions of the horizon and physical time.
 
-        The mapping is linear in each phase, the part of the horizon between two free times, or
-        between a free time and an end of the horizon. Free times are physical times that the solve
-        determines.
+        Free times are physical times that the solve determines. They divide the horizon into
+        phases. The mapping is linear in each phase.
 
         Parameters
         ----------
@@ -626,15 +634,26 @@ def _compiled(
 ) -> tuple[CompiledModel, LiveModel, Evaluator]:
     """Translate the declarations of a Pyomo model to CasADi functions.
 
-    `model` is the Pyomo model; `declared` are its variables, equations and limits; `reader` is the
-    object that read them from the model, and that translates its components to CasADi. A DAE of
-    index above 2 is refused with a `TranscriptionError`.
+    Parameters
+    ----------
+    model : ConcreteModel
+        The Pyomo model.
+    declared : Declarations
+        The model's variables, equations and limits.
+    reader : ModelReader
+        Reader that read the declarations from the model. The reader also translates the model's
+        components to CasADi.
 
     Returns
     -------
     CompiledModel, LiveModel, Evaluator
         The compiled equations, the source of the model's data (parameter values, bounds, initial
         values), and the evaluator of the model's components.
+
+    Raises
+    ------
+    TranscriptionError
+        If the equations are a DAE of index above 2.
     """
     refuse_high_index(declared)
     compiled = compile_declarations(declared)
@@ -675,10 +694,10 @@ class StructuralIndex:
     Attributes
     ----------
     index : int
-        0 for an ODE.
+        Structural index; 0 for an ODE.
     differentiated : dict
-        Name of an equation -> number of differentiations with respect to time; equations that need
-        none are left out.
+        Name of an equation -> number of differentiations with respect to time. Equations that need
+        no differentiation are left out.
     """
 
     index: int
@@ -689,12 +708,17 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
     The structural index is the number of times by which the equations must be differentiated to
-    obtain an ODE; it is 0 for an ODE. The index is also returned as 0 in three cases in which the
-    method does not apply: the model has no equations over time; it has more equations than
-    variables; or no assignment gives each equation a variable of its own that the equation
-    contains. Controls count as unknowns, like all algebraic variables. An equation that contains
-    states only therefore raises the index, even if controls influence these states through other
-    equations. `declared` are the declarations of the model, with its equations.
+    obtain an ODE; it is 0 for an ODE. The index is also returned as 0 where the method does not
+    apply:
+
+    - the model has no equations over time;
+    - the model has more equations than variables;
+    - the equations cannot be paired with different variables, each equation with a variable that it
+      contains.
+
+    Controls count as unknowns, like all algebraic variables. An equation that contains states only
+    therefore raises the index, even if controls influence these states through other equations.
+    `declared` are the declarations of the model, with its equations.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """

@@ -114,8 +114,8 @@ def first_point(
 
     The function `initial_point` interpolates a point between known values. The states of this point
     are then moved until they satisfy the equations that contain states alone. If a constraint or a
-    derivative is NaN at the moved point, the function `with_consistent_algebraics` also changes the
-    algebraic variables, so that the equations nearly hold at each collocation point.
+    derivative is still NaN, the function `with_consistent_algebraics` adjusts the algebraic
+    variables. The equations then nearly hold at each collocation point.
 
     Parameters
     ----------
@@ -128,8 +128,8 @@ def first_point(
     guess : mapping, DataFrame or Trajectory, optional
         The user's initial values of the variables; see `Guess`.
     seed : int, default 0
-        Seed of random numbers. If above 0, the function `scattered` replaces the interpolated point
-        by a random point between the bounds, before the states are moved.
+        Seed of random numbers. If `seed` is above 0, a random point between the bounds replaces the
+        interpolated point, before the states are moved. The function `scattered` draws this point.
 
     Returns
     -------
@@ -215,7 +215,8 @@ class _Known:
         """Compute algebraic variables without a known value from the equations that define them.
 
         `z` is the initial point, shape (n_unknowns,). The result is a copy of `z` with the computed
-        values, moved inside the bounds; or `z` itself if a computed value is not finite.
+        values, moved inside the bounds. If a computed value is not finite, the result is `z`
+        itself.
         """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns
@@ -239,10 +240,11 @@ class _Known:
     def order_times(self, z: FloatArray) -> None:
         """Set initial values of the free times, and correct them so that all times increase.
 
-        A free time is a static variable (a variable without time) whose value replaces a declared
-        time, a member of the continuous set. If neither the model nor the guess has a value of the
-        variable, its initial value is the declared time, moved inside the bounds. The array `z`
-        holds the initial values of all unknowns of the program, and is changed in place.
+        A declared time is a member of the continuous set. A free time is a static variable (a
+        variable without time) whose value replaces a declared time. If neither the model nor the
+        guess has a value of the variable, its initial value is the declared time, moved inside the
+        bounds. The array `z` holds the initial values of all unknowns of the program, and is
+        changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -266,10 +268,10 @@ class _Known:
 
 
 def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
-    """Return whether each of the given unknowns is fixed: its lower bound equals its upper bound.
+    """Return for each of the given unknowns whether its two bounds are equal.
 
-    `columns` are the positions of these unknowns in the nonlinear program; the result has their
-    shape.
+    `columns` are the positions of the given unknowns in the nonlinear program. The result has the
+    shape of `columns`.
     """
     return np.asarray(bounds.lower[columns] == bounds.upper[columns])
 
@@ -280,10 +282,22 @@ _STEPS = 3
 def with_consistent_algebraics(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Adjust the algebraic variables so that the equations nearly hold at each collocation point.
 
-    Three Gauss-Newton steps are taken in the algebraic variables alone, with the states unchanged:
-    the controls become approximately the controls that the given states require. `program` is a
-    nonlinear program, `bounds` are the bounds of its unknowns, and `z` is the given point, shape
-    (n_unknowns,). The result is the adjusted point, of the same shape and inside the bounds.
+    The states are not changed. The controls become approximately those that the given states
+    require. Three Gauss-Newton steps are taken in the algebraic variables.
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+        Bounds of the program's unknowns.
+    z : ndarray, shape (n_unknowns,)
+        The given point.
+
+    Returns
+    -------
+    ndarray, shape (n_unknowns,)
+        The adjusted point, inside the bounds.
     """
     columns, n = program.layout.algebraic_columns, program.layout.n_states
     if program.mesh is None or not columns.size:
@@ -308,15 +322,30 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An equation among states, such as a path that a vehicle must follow, has index 2: the equation
-    contains neither rates nor controls. The derivatives of the equation therefore give Ipopt little
-    information on the rates and controls with which the states would satisfy it. The states are
-    moved by Gauss-Newton steps, each the shortest in units of the states' magnitudes. The algebraic
-    variables are then adjusted to the moved states.
+    An example of such an equation is a path that a vehicle must follow. These equations contain
+    neither rates nor controls, and have index 2. Their derivatives therefore give Ipopt little
+    information on the rates and controls that the path requires. The algebraic variables are
+    afterwards adjusted to the moved states.
 
-    `program` is a nonlinear program, `bounds` are the bounds of its unknowns, and `z` is the given
-    point, shape (n_unknowns,). The result has the same shape and lies inside the bounds. If the
-    residual does not decrease, the given point itself is returned.
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+        Bounds of the program's unknowns.
+    z : ndarray, shape (n_unknowns,)
+        The given point.
+
+    Returns
+    -------
+    ndarray, shape (n_unknowns,)
+        The moved point, inside the bounds; `z` itself if the residual of the equations did not
+        decrease.
+
+    Notes
+    -----
+    The states are moved by Gauss-Newton steps. Each step is the shortest possible, measured in
+    units of the states' magnitudes.
     """
     compiled, layout = program.compiled, program.layout
     path, n = compiled.path, layout.n_states
@@ -354,18 +383,31 @@ _LARGEST_BOUND = 1e6
 
 
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
-    """Return a random initial point, drawn between the bounds of each variable.
+    """Return a random initial point inside the bounds.
 
-    For a static variable (a variable without time), one random value is used. For a variable over
-    time, four random values at equally spaced times are drawn, and interpolated linearly. If both
-    bounds of the variable are less than 1e6 in magnitude, the random values are uniformly
-    distributed between the bounds, and replace the values in the given point `z`. For any other
-    variable, the random values are added to the values in `z`. These random values are normally
-    distributed with mean 0. Their standard deviation is the largest magnitude of the variable in
-    `z`, at least 1.
+    For a static variable (a variable without time), one random value is drawn. For a variable over
+    time, four random values at equally spaced times are drawn, and interpolated linearly. The
+    distribution depends on the bounds of the variable:
 
-    `program` is a nonlinear program, `bounds` are the bounds of its unknowns, and `seed` is the
-    seed of the random numbers. The result has shape (n_unknowns,) and lies inside the bounds.
+    - If both bounds are less than 1e6 in magnitude, the random values are uniformly distributed
+      between the bounds. They replace the values in the given point `z`.
+    - Otherwise the random values are normally distributed with mean 0, and are added to the values
+      in `z`. Their standard deviation is the largest magnitude of the variable in `z`, at least 1.
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program on one mesh.
+    bounds : Bounds
+        Bounds of the program's unknowns.
+    z : ndarray, shape (n_unknowns,)
+        The given point.
+    seed : int
+        Seed of the random numbers.
+
+    Returns
+    -------
+    ndarray, shape (n_unknowns,)
     """
     generator = np.random.default_rng(seed)
     layout, moved = program.layout, np.array(z)

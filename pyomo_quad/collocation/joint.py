@@ -202,8 +202,8 @@ class JointSolution(Outcome):
         Returns
         -------
         float or ndarray
-            In the shape of `t`. The cost is the minimised objective: the negative of the declared
-            objective if that is maximised.
+            Costate at each time, in the shape of `t`. The cost is the declared objective, or its
+            negative if the objective is to be maximised.
 
         Raises
         ------
@@ -225,14 +225,14 @@ class JointProblem(Summarised):
     times : mapping, optional
         Free times of each horizon, by the name of its continuous set, for example {"flight": {1.0:
         m.T1}}. The key 1.0 is a declared time (a member of the set), and its value is a static
-        variable. The solve determines the variable, which is the physical time at which the
-        conditions declared at 1.0 hold.
+        variable. The solve determines this variable: the physical time at which the conditions
+        declared at 1.0 hold.
 
     Attributes
     ----------
     horizons : dict
-        For each horizon, the `Formulation` (compiled declarations) of the components over this
-        horizon, by the name of the continuous set.
+        Key: name of a continuous set. Value: the `Formulation` of this horizon, the compiled
+        declarations of the components over the horizon.
     coupling : Formulation
         The objective, and the declarations that concern several horizons or no horizon.
 
@@ -289,12 +289,14 @@ class JointProblem(Summarised):
         guess : mapping, optional
             Initial values by the name of a variable: a function of time, a constant, or samples at
             the times under the key "time". A key may also be the name of a continuous set. The
-            value under this key is then a mapping of the same kind, and is the only guess that is
-            used for the variables over this set.
+            value of this key is a mapping with the initial values of the variables over this set.
+            The mapping replaces all other initial values of these variables.
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
-        horizon, starts
-            Not supported for several horizons: other values than `None` and 1 raise an error.
+        horizon : None
+            Must be None. Only problems with one horizon accept other values.
+        starts : int, default 1
+            Must be 1. Only problems with one horizon accept other values.
         tolerance : float, optional
             Required relative error of the states on all horizons; default 1e-6 if no mesh is given.
         parameters : mapping, optional
@@ -386,8 +388,8 @@ class JointProblem(Summarised):
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
         """Return a list with the mesh of each horizon, in the order of the horizons.
 
-        `mesh` is the user's argument: one mesh for all horizons, a mapping from the names of the
-        horizons to meshes, or None, for which the list contains None for each horizon.
+        `mesh` is the user's argument: one mesh for all horizons, or a mapping from the names of the
+        horizons to meshes. If `mesh` is None, all entries of the list are None.
 
         Raises
         ------
@@ -415,9 +417,9 @@ class JointProblem(Summarised):
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
         """Split the user's guess into one guess per horizon, and one for variables of no horizon.
 
-        A key of `guess` is the name of a variable or of a horizon. The value under the name of a
-        variable is the guess for this variable. The value under the name of a horizon is a mapping
-        with the guesses for the variables of this horizon, and replaces all other guesses for them.
+        A key of `guess` is the name of a variable or of a horizon. The value of a variable's key is
+        the guess for this variable. The value of a horizon's key is a mapping with the guesses for
+        the variables of this horizon. This mapping replaces all other guesses for these variables.
         The result is a list in the order of the horizons; the guess for the variables of no horizon
         comes last.
 
@@ -538,10 +540,10 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return a failed solution with a verdict on the feasibility of its problem.
 
-        The verdict follows from the least sum of constraint violations that is found near the last
-        iterate of the solution `failed`. Ipopt minimises this sum, with the settings `options`. The
-        function `progress`, if given, is called at each iteration of this minimisation. If the
-        function returns False, the minimisation stops.
+        Ipopt minimises the sum of constraint violations, starting from the last iterate of the
+        solution `failed`. The verdict follows from the least sum. `options` are the settings of
+        Ipopt for the minimisation. The function `progress`, if given, is called at each iteration
+        of the minimisation. If the function returns False, the minimisation stops.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -587,10 +589,18 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return the `JointSolution` of Ipopt's result, with a solution on each horizon.
 
-        `union` locates the unknowns of each horizon in the joint nonlinear program. `result` is
-        Ipopt's result on this program, and `bounds` and `scaling` are the program's bounds and
-        scaling factors. `instances` holds the parameter values for each horizon, and for the
-        coupling of the horizons.
+        Parameters
+        ----------
+        union : Union
+            The joint program, with the positions of each horizon's unknowns.
+        instances : list of Instance
+            Parameter values, for each horizon and the coupling of the horizons.
+        result : IpoptResult
+            Ipopt's result on the joint program.
+        bounds : Bounds
+            Bounds of the joint program.
+        scaling : Scaling
+            Scaling factors of the joint program.
         """
         found = [
             solution_from(
@@ -644,11 +654,11 @@ class JointProblem(Summarised):
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
         """Set the static variables of the coupling that stand for values of one horizon.
 
-        The coupling consists of the objective and of the constraints on several horizons. Some
-        values of a horizon, for example the derivative of a state at the end of the horizon, occur
-        in the coupling. There, a static variable (a variable without time) stands for each such
-        value. This method computes each such value from the unknowns of the horizon, and stores the
-        value as the entry of the static variable in `z`.
+        The coupling consists of the objective and of the constraints on several horizons. The
+        coupling may contain a value of a horizon, for example the derivative of a state at the end
+        of the horizon. In the coupling, a static variable (a variable without time) stands for this
+        value. This method computes the value from the unknowns of the horizon, and writes it to the
+        static variable's entry in `z`.
 
         Parameters
         ----------
@@ -672,11 +682,12 @@ class JointProblem(Summarised):
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
         """Raise an error if the joint program is not finite at the point `z`, or over-determined.
 
-        A program is over-determined under two conditions. The program has more equations
-        (constraints with equal bounds) than free unknowns (unknowns with unequal bounds), and all
-        its equations are linear and contradict each other. `union` joins the nonlinear programs of
-        all horizons to the joint program, and `bounds` are the bounds of the unknowns and
-        constraints of the joint program.
+        Equations are constraints with equal bounds; free unknowns are unknowns with unequal bounds.
+        The program is over-determined if it has more equations than free unknowns, and its
+        equations are linear and contradict each other.
+
+        `union` joins the nonlinear programs of all horizons to the joint program, and `bounds` are
+        the bounds of the unknowns and constraints of the joint program.
         """
         held = set()
         for k, program in enumerate(union.programs):
@@ -722,9 +733,9 @@ def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = No
         allowed for several horizons.
     times : mapping, optional
         Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-        continuous set), and the value is a static variable. The solve determines the variable,
-        which is the physical time at which the conditions declared at 1.0 hold. For several
-        horizons, such a mapping for each horizon, by the name of its continuous set.
+        continuous set), and the value is a static variable. The solve determines this variable: the
+        physical time at which the conditions declared at 1.0 hold. For several horizons, the keys
+        are the names of the continuous sets, and each value is such a mapping.
 
     Returns
     -------

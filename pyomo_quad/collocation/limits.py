@@ -44,9 +44,20 @@ class Violation:
 def outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
 
-    `values`, `lower` and `upper` are arrays of the same shape: values, their lower and their upper
-    bounds, infinite where there is none. The result has this shape; `bound` is the violated one of
-    the two bounds, and the result is 0 where none is violated.
+    Here `bound` is the lower or the upper bound, whichever is violated. The result is 0 where no
+    bound is violated.
+
+    Parameters
+    ----------
+    values : ndarray
+        The values.
+    lower, upper : ndarray
+        Lower and upper bounds in the shape of `values`; infinite where there is no bound.
+
+    Returns
+    -------
+    ndarray
+        In the shape of `values`.
     """
     with np.errstate(invalid="ignore"):
         below = (lower - values) / np.maximum(1.0, np.abs(lower))

@@ -57,10 +57,11 @@ class RadauRule:
 def barycentric_weights(nodes: FloatArray) -> FloatArray:
     """Return the barycentric weights of distinct nodes in the unit interval, shape (n_nodes,).
 
-    The weight of a node is the inverse of the product of its differences from all other nodes. The
-    differences are multiplied by 4, the inverse of the logarithmic capacity of the interval, so
-    that the products neither underflow nor overflow at high degree. The multiplication changes all
-    weights by the same factor, which has no effect on barycentric interpolation.
+    The weight of a node is the inverse of the product of its differences from all other nodes. Each
+    difference is multiplied by 4, so that the products neither underflow nor overflow at high
+    degree. The number 4 is the inverse of the logarithmic capacity of the interval. The
+    multiplication changes all weights by one common factor, which has no effect on barycentric
+    interpolation.
     """
     differences = 4.0 * (nodes[:, None] - nodes[None, :])
     np.fill_diagonal(differences, 1.0)
@@ -270,9 +271,9 @@ class Trajectory:
 class Timeline:
     """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    The declared horizon is the range of the continuous set in the Pyomo model. A phase ends at a
-    free time (a physical time that the solve determines) or at the end of the horizon, and begins
-    where the previous phase ends. The time at which a phase ends belongs to that phase.
+    The declared horizon is the range of the continuous set in the Pyomo model. A free time is a
+    physical time that the solve determines. The free times divide the horizon into phases. The time
+    at which a phase ends belongs to that phase.
 
     Attributes
     ----------
@@ -365,9 +366,9 @@ class Timeline:
     def fraction_at(self, time: float) -> float:
         """Return the fraction of the declared horizon at one physical time.
 
-        The declared horizon is the range of the continuous set in the Pyomo model. The result is
-        that of the method `fraction`. For a single time, Python's numbers are several times faster
-        than arrays, and simulations need the fraction in each evaluation of the equations.
+        The declared horizon is the range of the continuous set in the Pyomo model. The method
+        `fraction` gives the same result, but is several times slower for a single time, because it
+        computes with arrays. Simulations need the fraction in each evaluation of the equations.
 
         Parameters
         ----------

@@ -1,7 +1,7 @@
 """Pickling of data that contain CasADi expressions.
 
-CasADi expressions cannot be pickled. All expressions are serialised into a single text, so that
-subexpressions that they share are stored once.
+CasADi expressions cannot be pickled. All expressions are therefore serialised into a single text. A
+subexpression that occurs in several expressions is stored once.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class _Place:
 
 @dataclass(frozen=True, kw_only=True)
 class Packed:
-    """Data in a form that can be pickled, in which a text contains the CasADi expressions.
+    """Data in a form that can be pickled, with the CasADi expressions stored in a text.
 
     A placeholder in the data marks the place of each expression.
 

@@ -59,22 +59,22 @@ _SUBSTEPS, _LARGEST_STATE = 10, 1e12
 class Problem(Summarised, Formulation):
     """Optimal control problem: a Pyomo.DAE model compiled for collocation.
 
-    A problem can be pickled. The restored problem solves and evaluates as before, with the
-    parameter values, bounds and initial values that the model held when it was pickled; the model
-    itself is not included.
+    A problem can be pickled. The restored problem has the parameter values, bounds and initial
+    values that the model held at the time of pickling. The restored problem can solve and evaluate,
+    but does not include the model.
 
     Parameters
     ----------
     model : ConcreteModel
         Model with one ContinuousSet that is not discretised, or with none.
     final_time : Var, optional
-        Static variable of the model that becomes the end of the horizon; the end of the continuous
-        set then only defines where boundary conditions are declared.
+        Static variable of the model (variable without time) that becomes the end of the horizon.
+        The end of the continuous set then only serves to declare boundary conditions.
     times : mapping, optional
         Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-        continuous set), and the value is a static variable. The solve determines the variable,
-        which is the physical time at which the conditions declared at 1.0 hold. The physical time
-        of any declared time between two free times follows by linear interpolation between them.
+        continuous set), and the value is a static variable. The solve determines this variable: the
+        physical time at which the conditions declared at 1.0 hold. Declared times between two free
+        times are mapped to physical times by linear interpolation.
 
     Raises
     ------
@@ -86,10 +86,10 @@ class Problem(Summarised, Formulation):
     def summary(self) -> dict[str, str]:
         """Objective, numbers of components, and structural index of the DAE, as text by label.
 
-        The components are states, output states (on which neither objective nor other equations
-        depend), algebraic and static variables, equations over time, conditions (constraints at
-        single times) and parameters. A number is left out if it is 0, and the index if it is at
-        most 1.
+        The following components are counted: states, output states, algebraic variables, static
+        variables, equations over time, conditions and parameters. Output states are states on which
+        neither the objective nor other equations depend. Conditions are constraints at single
+        times. Numbers equal to 0 are left out. The index is left out if it is 0 or 1.
         """
         declared = self.compiled.declared
         counts = {
@@ -152,8 +152,9 @@ class Problem(Summarised, Formulation):
         refinement : RefinementOptions, optional
             Settings of the mesh refinement.
         starts : int, default 1
-            Number of initial points on the first mesh, all but one random between the bounds; the
-            best optimum is kept. A global optimum is not guaranteed.
+            Number of initial points on the first mesh. One point is the guess or warm start; the
+            others are random points between the bounds. The best optimum is kept. A global optimum
+            is not guaranteed.
         progress : callable, optional
             Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
 
@@ -219,9 +220,9 @@ class Problem(Summarised, Formulation):
             Initial mesh; None if the caller gave none.
         starts : int
             Number of initial points on the first mesh: `start`, and `starts` - 1 random points. If
-            `starts` is above 1, the program on the first mesh is solved from each of these points.
-            The best optimum then replaces `start` as the warm start of the actual solve; `start` is
-            kept if no optimum was found.
+            `starts` is above 1, the program on the first mesh is solved from each of these points,
+            and the best optimum becomes the warm start of the actual solve. If no optimum is found,
+            the actual solve begins from `start`.
         instance : Instance
             Parameter values, horizon and fixed variables of this solve.
 
@@ -285,9 +286,10 @@ class Problem(Summarised, Formulation):
         Returns
         -------
         Trajectory or None
-            Simulated trajectory, with states clipped to 1e12 in magnitude; None if the model has
-            controls, a free initial state or output states (states that nothing else depends on),
-            or if the simulated states are not finite.
+            Simulated trajectory, with states clipped to 1e12 in magnitude. None if the model cannot
+            be simulated, has controls or has a free initial state, or if the simulated states are
+            not finite. Also None if the model has output states: states on which neither the
+            objective nor other equations depend.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -358,8 +360,9 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh or None
-            None for a model without time. Element boundaries are added at times at which a
-            constraint at a single time is imposed, a variable is fixed, or a parameter jumps.
+            None for a model without time. Element boundaries are added at the times of three kinds
+            of events: a constraint at a single time, a fixed value of a variable, and a jump of a
+            parameter.
         start : Start, optional
             Initial point: a guess or a warm start; by default the values that the variables of the
             Pyomo model have.
@@ -381,8 +384,8 @@ class Problem(Summarised, Formulation):
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of the variables' bounds between the collocation points, relative to
-            max(1, abs(bound)). If it is finite and `start` is a warm start, additional constraints
-            of the program keep the variables within this violation between the collocation points.
+            max(1, abs(bound)). If `breach` is finite and `start` is a warm start, additional
+            constraints of the program limit the violation to this amount.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
@@ -593,9 +596,13 @@ def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
     Each solution covers one horizon (continuous set) of the model, or the variables of no horizon.
-    Values are loaded into static variables (variables without time), into variables and derivatives
-    over time at the declared times (the members of the continuous sets), into the components of the
-    type `pyomo.dae.Integral`, and into imported suffixes.
+    The values are loaded into:
+
+    - static variables (variables without time);
+    - variables and derivatives over time, at the declared times (the members of the continuous
+      sets);
+    - components of the type `pyomo.dae.Integral`;
+    - imported suffixes, such as `dual`.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

@@ -1,9 +1,10 @@
 """Bounds on variables between the collocation points, through Bernstein coefficients.
 
-A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_: if the
-coefficients satisfy a bound, the whole polynomial does. The converse is false, so bounding the
-coefficients restricts the solution more than necessary. The multipliers of these bounds give the
-cost of the restriction: see docs/theory/transcription.md, eqs. (6) and (7).
+A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_. If all
+coefficients satisfy a bound, the whole polynomial therefore satisfies the bound too. The converse
+is false, so bounds on the coefficients restrict the solution more than necessary. The multipliers
+of the bounds on the coefficients give the cost of the restriction: see
+docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -39,13 +40,14 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    The values of a state are those at the element's left end and at its collocation points; the
-    values of an algebraic variable are those at the collocation points only. The last collocation
-    point is the element's right end. The first coefficient is the polynomial's value at the left
-    end of the element, and the last coefficient is the value at the right end. A coefficient that
-    equals an unknown of the program has the bounds of this unknown already, and is left out. Left
-    out are therefore the first and the last coefficient of a state, and the last coefficient of an
-    algebraic variable.
+    A state has values at the element's left end and at the collocation points. An algebraic
+    variable has values at the collocation points only. The last collocation point is the element's
+    right end.
+
+    The first Bernstein coefficient is the polynomial's value at the left end, and the last
+    coefficient is its value at the right end. If such a value is an unknown of the program, it is
+    bounded already, and the coefficient is left out here. A state therefore has neither the first
+    nor the last coefficient; an algebraic variable lacks the last coefficient only.
 
     Attributes
     ----------
@@ -70,9 +72,8 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
     degree : int
         Number of collocation points of the element.
     is_state : bool
-        True for a state, which is given by its values at the nodes (left end and collocation
-        points); False for an algebraic variable, which is given by its values at the collocation
-        points.
+        True for a state, which has values at the left end of the element and at the collocation
+        points. False for an algebraic variable, which has values at the collocation points only.
     """
     rule = radau_rule(degree)
     at = rule.nodes if is_state else rule.points
@@ -143,10 +144,11 @@ class BernsteinRows:
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
-        A polynomial may satisfy a bound while one of its Bernstein coefficients would exceed it.
-        To bound that coefficient then raises the objective without need. The increase is estimated
-        as the multiplier of the coefficient's bound, times the distance between the coefficient and
-        the value of the polynomial at the coefficient's abscissa.
+        A polynomial may satisfy a bound although one of its Bernstein coefficients exceeds the
+        bound. A bound on this coefficient raises the objective more than a bound on the polynomial
+        would. The increase is estimated as a product: the multiplier of the coefficient's bound,
+        times the distance between the coefficient and the value of the polynomial at the
+        coefficient's abscissa.
 
         Parameters
         ----------
@@ -178,8 +180,8 @@ class Restraint:
     ----------
     cost : ndarray, shape (n_elements,)
         First-order estimate of the increase in each element, in the unit of the objective. The
-        objective increases where a Bernstein coefficient would exceed its bound while the
-        polynomial satisfies the bound.
+        cause of the increase is a bound on the Bernstein coefficients, where a bound on the
+        polynomial itself would be less strict.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.
@@ -195,11 +197,13 @@ def bounded(
     """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
 
     Bounds on the coefficients keep the trajectory within the variables' bounds between the
-    collocation points too. The Bernstein coefficients of a variable in an element are bounded there
-    if one of these coefficients, computed for the given trajectory, is near a bound of the
-    variable. A coefficient is near a bound if it violates the bound, or if its distance from the
-    bound is below a margin. The margin is 0.45 times the distance between the variable's lower and
-    upper bound, or 0.45 max(1, abs(bound)) if only one of the two bounds is finite.
+    collocation points too. The Bernstein coefficients are first computed for the given trajectory.
+    If one coefficient of a variable in an element is near a bound of the variable, all coefficients
+    of this variable in this element are bounded.
+
+    A coefficient is near a bound if it violates the bound, or if its distance from the bound is
+    below a margin. If both bounds of the variable are finite, the margin is 0.45 times the distance
+    between the two bounds. If only one bound is finite, the margin is 0.45 max(1, abs(bound)).
 
     Parameters
     ----------
@@ -259,10 +263,11 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
     """Return whether a variable's trajectory in one element is near one of its bounds.
 
-    `values` are the Bernstein coefficients of the variable in the element, `low` and `high` its
-    bounds. The trajectory is near a bound if any of the coefficients violates the bound, or is
-    closer to it than 0.45 times the distance between the bounds (0.45 max(1, abs(bound)) if only
-    one bound is finite).
+    `values` are the Bernstein coefficients of the variable in the element; `low` and `high` are the
+    bounds of the variable. The trajectory is near a bound if a coefficient violates the bound, or
+    if a coefficient's distance from the bound is below a margin. If both bounds are finite, the
+    margin is 0.45 times the distance between the two bounds. If only one bound is finite, the
+    margin is 0.45 max(1, abs(bound)).
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:
@@ -274,9 +279,12 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 def _assembled(parts: list[tuple[NDArray[np.intp], FloatArray]], width: int) -> csr_array:
     """Assemble a sparse matrix from dense blocks of rows, one block below the other.
 
-    `parts` has a pair for each block: the column of the assembled matrix to which each column of
-    the block belongs, and the dense block itself. `width` is the number of columns of the assembled
-    matrix.
+    Parameters
+    ----------
+    parts : list of (ndarray of int, ndarray)
+        For each block: the positions of its columns in the assembled matrix, and the block itself.
+    width : int
+        Number of columns of the assembled matrix.
     """
     data = np.concatenate([block.ravel() for _, block in parts])
     columns = np.concatenate([np.tile(at, len(block)) for at, block in parts])

@@ -78,9 +78,9 @@ def bounds_of(
     Raises
     ------
     TranscriptionError
-        If a lower bound exceeds an upper bound, or the bounds of free times contradict the order of
-        these times. (A free time is a static variable that gives the physical time of a declared
-        time.) The message names the variables.
+        If a lower bound exceeds an upper bound, or if the bounds of free times contradict the order
+        of these times. A free time is a static variable that gives the physical time of a declared
+        time. The message names the variables.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -188,10 +188,10 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
     """Yield the values of states that are fixed at declared times, as equal bounds at a node.
 
-    A declared time is a member of the continuous set. `program` is the nonlinear program on one
-    mesh. `fixed` maps (variable name, fraction of the horizon) to the fixed value; variables that
-    are no states are skipped. Both bounds of a fixed state at the node nearest to the declared time
-    equal the fixed value.
+    A declared time is a member of the continuous set. At the node nearest to the declared time,
+    both bounds of the state equal the fixed value. `program` is the nonlinear program on one mesh.
+    `fixed` maps (variable name, fraction of the horizon) to the fixed value. Variables that are not
+    states are skipped.
     """
     for (name, fraction), number in fixed.items():
         column = program.layout.state_column(name, fraction)
@@ -204,9 +204,13 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield the bounds of static variables, and of single states at declared times.
 
     A static variable is a variable without time; a declared time is a member of the continuous set.
-    The bounds are those of the Pyomo variables without time, and those from conditions (constraints
-    at declared times) on a single state or a single static variable. `program` is the nonlinear
-    program on one mesh.
+    Two kinds of bounds are yielded:
+
+    - the bounds of the static variables in the Pyomo model;
+    - the bounds from conditions (constraints at declared times) that contain a single state or a
+      single static variable.
+
+    `program` is the nonlinear program on one mesh.
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -248,9 +252,10 @@ def _refuse_crossed_times(program: Transcription) -> None:
     """Raise an error if the bounds of free times contradict the order of these times.
 
     A declared time is a member of the continuous set. A free time is a static variable (a variable
-    without time) that gives the physical time of a declared time. The order is contradicted if the
-    least value that the bounds permit for one time is not below the greatest value that they permit
-    for a later time. `program` is the nonlinear program to which the static variables belong.
+    without time) that gives the physical time of a declared time. The free times must increase in
+    the order of the declared times. The bounds contradict this order if the smallest permitted
+    value of a free time is not below the largest permitted value of a later free time. `program` is
+    the nonlinear program to which the free times belong.
     """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
@@ -282,8 +287,8 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
     """Return the error for a lower bound that exceeds the upper bound of the same quantity.
 
-    `place` gives the name of the variable or constraint, and its time; the message begins with it.
-    `lower` and `upper` are the two bounds.
+    `place` gives the name of the variable or constraint, and its time. The message begins with
+    `place`. `lower` and `upper` are the two bounds.
     """
     return TranscriptionError(
         f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
@@ -306,10 +311,9 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
 
     `z` are the values of the unknowns, and `bounds` the bounds of the program. The factor of an
     unknown is the scaling factor of its variable in the Pyomo model, if the model has one.
-    Otherwise it is the inverse of the variable's magnitude: the largest absolute value among the
-    variable's values in `z` and the variable's bounds below 1e6. (The function
-    `nominal_magnitudes` computes the magnitudes.) The factors of constraints and objective follow
-    from their derivatives at `z`.
+    Otherwise the factor is the inverse of the variable's magnitude, which the function
+    `nominal_magnitudes` computes from values and bounds. The factors of constraints and objective
+    follow from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
@@ -317,11 +321,11 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program, given the magnitudes of its unknowns.
 
-    The factor of an unknown is the inverse of its magnitude. The factor of a constraint is chosen
-    so that the constraint's largest absolute derivative, with respect to the scaled unknowns,
-    becomes about 1 at the point `z`. The factor of the objective makes the larger of two numbers 1
-    at `z`: the absolute value of the scaled objective, and the largest absolute derivative of the
-    scaled objective. If the gradient of the objective is zero at `z`, the factor is 1.
+    The factor of an unknown is the inverse of its magnitude. The factor of a constraint is about
+    the inverse of the constraint's largest absolute derivative. The factor of the objective is the
+    inverse of the larger of two numbers: the objective's absolute value, and its largest absolute
+    derivative. If the gradient of the objective is zero, the factor of the objective is 1. All
+    derivatives are taken at the point `z`, with respect to the scaled unknowns.
 
     Parameters
     ----------
@@ -367,8 +371,9 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 
     All unknowns of a variable have the same magnitude. If the Pyomo model has a scaling factor of
     the variable, the magnitude is the inverse of this factor. Otherwise the magnitude is the
-    largest absolute value among the variable's values in `z` (the unknowns of the program) and its
-    bounds below 1e6; it is 1 if all of these are zero.
+    largest absolute value among the variable's values and bounds; bounds of 1e6 or more are
+    ignored. If all these values and bounds are zero, the magnitude is 1. `z` are the values and
+    `bounds` the bounds of all unknowns of the program.
     """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
@@ -387,9 +392,9 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 
     `slot` is the variable, and `columns` are the positions of its unknowns. `bounds` and `z` are
     the bounds and the values of all unknowns of the program. If the Pyomo model has a scaling
-    factor of the variable, the result is the inverse of this factor. Otherwise it is the largest
-    absolute value among the variable's values and bounds, without bounds of 1e6 or more; it is 1 if
-    all of these are zero.
+    factor of the variable, the result is the inverse of this factor. Otherwise the result is the
+    largest absolute value among the variable's values and bounds; bounds of 1e6 or more are
+    ignored. If all these values and bounds are zero, the result is 1.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -403,16 +408,16 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
     """Raise an error if a program has values that are not finite, or is over-determined.
 
-    A program is over-determined if it has more equations than free unknowns and its equations are
-    an inconsistent linear system.
+    A program is over-determined if it has more equations than free unknowns, and its equations are
+    linear and contradict each other.
 
     Parameters
     ----------
     program : Transcription
         The nonlinear program.
     bounds : Bounds
-        Bounds of its unknowns and constraints. Unknowns with unequal bounds are free, constraints
-        with equal bounds are equations.
+        Bounds of the program's unknowns and constraints. Unknowns with unequal bounds are free;
+        constraints with equal bounds are equations.
     z : ndarray, shape (n_unknowns,)
         Initial point, at which constraints, objective and derivatives are evaluated.
 
@@ -476,11 +481,13 @@ def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) 
     """Return whether a program's equations are linear and have no solution.
 
     The equations are the constraints of `program` that have equal lower and upper bounds in
-    `bounds`. The equations are linearised at the unknowns `z`. The step of the free unknowns
-    (unknowns with unequal bounds) is computed that minimises the sum of squared residuals of the
-    linearised equations. The equations count as linear if, after this step, the residuals of the
-    equations themselves equal those of the linearised equations. Linear equations have no solution
-    if these residuals are not zero.
+    `bounds`. The free unknowns are those with unequal bounds.
+
+    The equations are linearised at the unknowns `z`. A least-squares step of the free unknowns
+    minimises the residuals of the linearised equations. After the step, the residuals of the
+    original equations are compared with those of the linearised equations. If both are equal, the
+    equations count as linear. Linear equations have no solution if the remaining residuals are not
+    zero.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
@@ -507,13 +514,12 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return a copy of bounds that drops satisfied constraints which contain fixed unknowns only.
+    """Return bounds without those of satisfied constraints that contain fixed unknowns only.
 
-    Such constraints are redundant, and their bounds are infinite in the copy. An example is a path
-    equality at a point where all states in the equality are fixed. The derivatives of this equality
-    with respect to all free unknowns are zero. If the equality were kept, the equations would
-    appear linearly dependent. `bounds` are the bounds of `program`, and `z` are the unknowns at
-    which its constraints are evaluated.
+    Such constraints are redundant, and get infinite bounds in the result. An example is a path
+    equality at a point where all states in the equality are fixed. Its derivatives with respect to
+    all free unknowns are zero, so that the equations would appear linearly dependent. `bounds` are
+    the bounds of `program`, and `z` are the unknowns at which the constraints are evaluated.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper

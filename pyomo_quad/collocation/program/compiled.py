@@ -113,15 +113,21 @@ class MappedFunction:
 def set_outputs_aside(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, with output states and their equations set aside.
 
-    `declared` are the declarations: the variables, equations and objective of the model. An output
-    state affects neither the objective nor other equations, for example an energy that is only
-    reported. In the copy, the output states with their equations and initial conditions are moved
-    to separate attributes (such as `outputs`, the tuple of output states). The output states are
-    then left out of the nonlinear program, and are computed from its solution.
+    An output state affects neither the objective nor other equations, for example an energy that is
+    only reported. Output states need not be part of the nonlinear program, and are computed from
+    its solution. `declared` are the declarations: the variables, equations and objective of the
+    model.
 
-    A state is an output state if the state and its time derivative appear in a single equality, and
-    the state has no bounds and is fixed at the start and nowhere else. The search is repeated, so
-    that it also finds output states on which only other output states depend.
+    In the copy, the output states are moved to the attribute `outputs`. Their equations and initial
+    conditions are moved to the attributes `output_equations` and `output_starts`.
+
+    A state is an output state if it meets three conditions:
+
+    - the state and its time derivative appear in a single equality;
+    - the state has no bounds;
+    - the state is fixed at the start and nowhere else.
+
+    The search is repeated, so that it also finds states on which only other output states depend.
     """
     while True:
         found = _one_output(declared)
@@ -147,8 +153,8 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
     """Return the names of the symbols that stand for a variable's values at declared times.
 
     A declared time is a member of the continuous set. The symbol for the value of x at time 0.5 is
-    named ``x[0.5]``, for example. `declared` are the declarations of the model, among them these
-    symbols, and `slot` is the variable.
+    named ``x[0.5]``, for example. `declared` are the declarations of the model, which include these
+    symbols. `slot` is the variable.
     """
     return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
 
