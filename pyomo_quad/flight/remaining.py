@@ -333,15 +333,16 @@ class Replanner:
         return trajectories_of(found)
 
     def prepare(self, plan: Trajectories) -> None:
-        """Solve, before take-off, each remaining mission for the warm starts of later re-plans.
+        """Solve the remaining missions before take-off, for initial guesses of solves in flight.
 
-        The remaining missions are the whole mission and the mission after each waypoint. Each is
-        solved from the state that `plan`, the plan made before take-off, has at its start. The
-        object stores the solutions, from which the first re-plans in flight are warm-started.
+        The remaining missions are the whole mission and the mission after each waypoint. The solve
+        of a remaining mission starts from the planned state at the time at which this mission
+        begins. `plan` is the plan made before take-off. The object stores the solutions. The first
+        re-plans (new plans in flight) are solved with these solutions as initial guesses.
 
         If a solution violates a soft limit, the penalty on violations is increased and the solve is
-        repeated. A penalty above the norm of the multipliers is exact: with such a penalty, the
-        solution violates no limit if a solution without violation exists.
+        repeated. A penalty above the norm of the multipliers is exact: the solution then violates
+        no limit, if a solution without violation exists.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -364,12 +365,12 @@ class Replanner:
         t : float
             Start of the re-plan [s].
         state : ndarray, shape (n_states,)
-            State at this time, in the order of the equations of the whole mission (attribute
-            `dynamics`).
+            State at time `t`. The order of the states is that of the attribute `dynamics`, the
+            equations of the whole mission.
         belief : Belief
             Estimated mass and wind.
         is_patient : bool, optional
-            Whether the solve may take as many iterations as before take-off.
+            Whether the solve may take as many iterations as a solve before take-off.
 
         Returns
         -------
@@ -431,12 +432,12 @@ class Replanner:
         Parameters
         ----------
         solution : Solution
-            The re-plan.
+            Solution from which the re-plan is made.
         belief : Belief
             Mass and acceleration by the air that the re-plan assumes.
         estimate : ndarray, shape (3,)
-            Estimated acceleration that the equations do not explain [m/s^2]; `belief` was computed
-            from it.
+            Estimated acceleration that the equations do not explain [m/s^2]. `belief` was computed
+            from this estimate.
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -449,11 +450,11 @@ class Replanner:
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight has used up its margin from any limit.
+        """Return whether a flight is nearer to a limit than its plan, by more than the margin.
 
-        A margin is the amount by which a limit was tightened for the plan. It is used up if the
-        flight is nearer to the limit than its plan by more than this amount. `course` has the plan,
-        and `state` is the measured state at time t [s], shape (n_states,).
+        The margin is the amount by which the limit was tightened for the plan. All limits are
+        tested. `course` has the plan. `state` is the measured state at time t [s], shape
+        (n_states,).
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -473,17 +474,15 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        The prediction begins with the planned state at the time `end`. In this state, attitude and
-        rotor speeds are changed so that the thrust also balances the estimated unexplained
-        acceleration. Without this change, the re-plan would begin with a turn to the balancing
-        attitude.
+        The prediction begins with the planned state at the time `end`. Attitude and rotor speeds
+        are changed so that the thrust also balances the acceleration `unexplained`. Otherwise the
+        re-plan would begin with a turn to the balancing attitude.
 
-        Position and velocity are the planned ones if the flight is near its plan. Near means that
-        the distance between the measured and the planned position is at most the attribute `tube`
-        [m], at which the controller uses its largest correction. In this case the controller
-        corrects the deviation; a re-plan from the measured state would follow each lag of the
-        vehicle. If the flight is not near its plan, position and velocity are moved from the plan
-        towards the measured values, just as far as needed to bring the flight near the re-plan.
+        If the measured position is at most `tube` [m] (an attribute) from the planned position, the
+        predicted position and velocity are the planned ones. The controller can correct such a
+        deviation. A re-plan from the measured state would follow each lag of the vehicle. If the
+        distance is larger, position and velocity are moved towards the measured values. They are
+        moved only until the vehicle is at most `tube` from the re-plan.
 
         Parameters
         ----------
@@ -521,7 +520,7 @@ class Replanner:
         """Change a planned state so that the thrust balances an additional acceleration.
 
         Attitude and rotor speeds in `state` are changed in place. `setpoint` is the plan's setpoint
-        at the time of the state, and `unexplained` the acceleration that the plan does not include,
+        at the time of the state. `unexplained` is the acceleration that the plan does not include,
         shape (3,) [m/s^2].
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
@@ -535,8 +534,8 @@ class Replanner:
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], shape (n_times, n_states).
 
-        The columns are in the order of the states of `dynamics`. This attribute has the equations
-        of the whole mission.
+        The columns are in the order of the states of the attribute `dynamics`, the equations of the
+        whole mission.
         """
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]
@@ -544,7 +543,10 @@ class Replanner:
 
 
 def breach_of(solution: Solution) -> float:
-    """Return the largest violation of a soft limit in a re-plan's solution, in the limit's unit."""
+    """Return the largest violation of a soft limit in the solution of a re-plan (plan in flight).
+
+    The violation has the unit of the limit. Soft limits may be violated at a penalty.
+    """
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
     return max(number for slot, number in named if slot.component in BREACHES)
@@ -553,9 +555,9 @@ def breach_of(solution: Solution) -> float:
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
     """Return the remaining missions after the first 0, 1, 2, ... waypoints of a mission.
 
-    Each entry of the result has one remaining mission with its compiled optimal control problem;
-    the last entry is the flight from the last waypoint to the goal. `believed` is the whole
-    mission, with the wind and the vehicle that plans assume.
+    Each entry has a remaining mission and its compiled optimal control problem. The last entry is
+    the flight from the last waypoint to the goal. `believed` is the whole mission, with the wind
+    and the vehicle that plans assume.
     """
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
@@ -583,11 +585,10 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    `believed` is the whole mission, with the wind and the vehicle that plans assume. If the vehicle
-    still has to hover at a waypoint, the remaining mission ends at the first waypoint with a hover,
-    some time after the hover has begun. The goal of the remaining mission is then the position of
-    that waypoint. The later parts of the mission are left out, because they do not affect a
-    hovering vehicle.
+    `believed` is the whole mission, with the wind and the vehicle that plans assume. If a hover at
+    a waypoint remains, the remaining mission ends during the first such hover. Its goal is then the
+    position of this waypoint. The later parts of the mission are left out, because they do not
+    affect a hovering vehicle.
     """
     mission = believed.mission
     left = mission.waypoints[k:]
@@ -612,9 +613,9 @@ def _compiled(left: Scenario) -> Problem:
 def with_mass(scenario: Scenario, belief: Belief) -> Scenario:
     """Return the scenario with the estimated mass of the vehicle.
 
-    `belief.mass` is the estimate: the mass of the vehicle together with the payload that it carries
-    at take-off [kg]. In the result, the payload is that of `scenario`, and the mass of the vehicle
-    without payload is the estimate minus this payload.
+    `belief.mass` is the estimated mass of the vehicle with its payload at take-off [kg]. The
+    payload of the scenario is unchanged. The mass of the vehicle without payload is the estimate
+    minus the payload.
     """
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - vehicle.payload})

@@ -1,36 +1,35 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-During a simulated flight, at constant intervals, the optimal control problem of the rest of the
-mission is solved again for least energy. The solution is a new plan, called a re-plan. A controller
-with adaptation follows the newest plan. Until the first re-plan, this is the plan made before
+During a simulated flight, the optimal control problem of the rest of the mission is solved again at
+constant intervals, for least energy. The solution is a new plan, called a re-plan. A controller
+with adaptation follows the newest plan. Until the first re-plan, it follows the plan made before
 take-off.
 
-A solve takes time, during which the vehicle flies on along its present plan. Each re-plan therefore
-begins at the time by which its solve is to be finished, and at the state predicted for that time.
-If the vehicle is near its present plan, this is the planned state: the controller corrects the
-small deviation. Otherwise it is a state between the planned and the actual state, just so near to
-the actual state that the controller can correct the rest of the deviation (tube-based predictive
-control). Each solve is warm-started from the previous re-plan (see `flight.remaining`).
+During a solve the vehicle flies on along its present plan. A re-plan therefore begins at the time
+at which its solve is to be finished, from the state predicted for that time. If the vehicle is near
+its present plan, the predicted state is the planned state: the controller corrects the small
+deviation. Otherwise the predicted state is moved towards the actual state, until the controller can
+correct the remaining deviation (tube-based predictive control). The previous re-plan is the initial
+guess of each solve (see `flight.remaining`).
 
 The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists
 from every state from which rotors and battery can reach the goal. If a solve fails nevertheless,
-the vehicle follows its previous plan. The solve is repeated at once in one case only, with many
-more iterations allowed, although the new plan may then be late. This is the case if the vehicle is
-nearer to a limit than its plan by more than the margin, the amount by which the limit was tightened
-for the plan.
+the vehicle follows its previous plan. Each limit was tightened for the plan by an amount called its
+margin. If the vehicle is nearer to a limit than its plan by more than the margin, a failed solve is
+repeated at once. The second solve may take many more iterations, although the new plan may then be
+late.
 
 No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
-arrive exactly within seconds would counteract every gust at any cost, although the gust may have
-changed again by then. In a hover at a waypoint, the vehicle follows the last re-plan for one second
-(for half of the hover, if that is less). Then it follows the plan made before take-off, until the
-next re-plan. Waypoints are passed at the times that the mission gives.
+arrive exactly within seconds would counteract every gust at any cost. The gust may have changed
+again by then. In a hover at a waypoint, the vehicle follows the last re-plan for one second, or for
+half of the hover if that is less. Then it follows the plan made before take-off, until the next
+re-plan. Waypoints are passed at the times that the mission gives.
 
-A wind that differs from the forecast, or a mass that differs from the assumed mass, causes an
+The wind may differ from the forecast, and the mass from the assumed mass. The difference causes an
 acceleration that the equations of motion do not contain. The adaptation law of the controller
-estimates this acceleration from the flight. The equations of a re-plan include the vertical part of
-the estimate as a changed mass (even if an updraft causes it), and the horizontal part as an
-additional acceleration by the wind. Re-plans that are to use the forecast alone ignore the
-estimate.
+estimates this acceleration from the flight. A re-plan includes the vertical part of the estimate as
+a changed mass, even if an updraft causes it. It includes the horizontal part as an additional
+acceleration by the wind. Re-plans that are to use the forecast alone ignore the estimate.
 """
 
 from collections.abc import Callable
@@ -93,9 +92,9 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    In such a flight, the plan is replaced repeatedly by a new plan. `knowledge` states on which
-    wind the new plans are based: the actual wind ("told"), the forecast corrected by an estimate,
-    or the forecast alone.
+    In a flight with re-planning, the plan is replaced repeatedly by a new plan. `knowledge` is the
+    wind that the new plans assume. It is the actual wind ("told"), the forecast corrected by an
+    estimate, or the forecast alone.
     """
     return f"mpc/{knowledge.value}"
 
@@ -105,7 +104,7 @@ class _Leg:
     """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
 
     `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is the
-    estimated acceleration, along the world axes [m/s^2], that the plan does not include. `last` has
+    estimated acceleration that the plan does not include, along the world axes [m/s^2]. `last` has
     the controller's states at the start of the part (None at take-off).
     """
 
@@ -121,8 +120,8 @@ class _Leg:
 class _Observer:
     """Estimator of the acceleration that the equations of a plan do not explain.
 
-    It applies the adaptation law of the controller to the measured states. Wind and mass that
-    differ from the assumed ones cause this unexplained acceleration.
+    Wind and mass that differ from the assumed ones cause this unexplained acceleration. The
+    estimator applies the adaptation law of the controller to the measured states.
     """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
@@ -152,9 +151,9 @@ class _Observer:
         """Return a mass and a horizontal acceleration that explain the unexplained acceleration.
 
         The vertical part of the estimated unexplained acceleration is attributed to a wrong mass:
-        the same thrust accelerates a lighter vehicle more. The thrust is taken from the end of
-        `flown`, the last simulated part of the flight. The horizontal part, without the horizontal
-        effect of the changed mass, is attributed to the air.
+        the same thrust accelerates a lighter vehicle more. The changed mass explains some
+        horizontal acceleration too. The rest of the horizontal part is attributed to the air.
+        `flown` is the last simulated part of the flight; the thrust at its end is used.
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -201,8 +200,8 @@ class _Aircraft:
     def measured(self, state: FloatArray) -> FloatArray:
         """Return the states that the vehicle measures, in the order of the plans' equations.
 
-        `state` is a state vector of the simulated vehicle, which may include states of the
-        turbulence.
+        `state` is a state vector of the simulated vehicle. It may include states of the turbulence,
+        which the vehicle does not measure.
         """
         return state[self._measured]
 
@@ -216,8 +215,8 @@ class _Aircraft:
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
         """Simulate one part of the flight, in which the controller follows one plan.
 
-        `leg` is the part with its plan, `state` the initial state of the vehicle, shape
-        (n_states,), and `integrator` the method of numerical integration.
+        `leg` is the part with its plan. `state` is the initial state of the vehicle, shape
+        (n_states,). `integrator` is the method of numerical integration.
         """
         believed = with_mass(self._scenario, leg.course.belief)
         return fly(
@@ -232,7 +231,10 @@ class _Aircraft:
 
 
 class _ReplannedFlight:
-    """Simulation of a flight in which new plans are solved from the measured state at intervals."""
+    """Simulation of a flight in which the rest of the mission is planned again at intervals.
+
+    Each new plan is solved from the measured state of the vehicle.
+    """
 
     def __init__(
         self,
@@ -284,9 +286,9 @@ class _ReplannedFlight:
     def _replan(self, measured_at: float) -> float:
         """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
-        `measured_at` is the time of the measurement [s]. If the solve fails, the vehicle continues
-        with the present plan. The result is the time [s] at which the computer aboard has the new
-        plan, and until which the flight along the present plan has been simulated.
+        The flight is simulated along the present plan until the computer aboard has the new plan.
+        If the solve fails, the vehicle continues with the present plan. `measured_at` is the time
+        of the measurement [s]. The result is the time at which the solve ends aboard [s].
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -324,8 +326,8 @@ class _ReplannedFlight:
     ) -> Solution | None:
         """Solve the remaining mission from a state at time t [s]; None if the solve fails.
 
-        `state` is the initial state of the plan, shape (n_states,), and `belief` has the estimates
-        of mass and wind that the plan assumes. `is_patient` allows the solve as many iterations as
+        `state` is the initial state of the plan, shape (n_states,). `belief` has the estimates of
+        mass and wind that the plan assumes. `is_patient` allows the solve as many iterations as
         before take-off.
         """
         try:
@@ -337,8 +339,8 @@ class _ReplannedFlight:
     def _advance(self, end: float) -> None:
         """Simulate the flight along the present plan until the time `end` [s].
 
-        This part of the flight also updates the estimate of the unexplained acceleration, which is
-        the acceleration that the equations of the plan do not contain.
+        The estimate of the unexplained acceleration is updated with this part of the flight. The
+        unexplained acceleration is the one that the equations of the plan do not contain.
         """
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
@@ -360,11 +362,11 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part of the flight again with a second integrator, for verification.
 
-        A part begins with a new plan; both simulations of the part start from the same state. The
-        whole flight cannot be simulated a second time for comparison, because each plan made in
-        flight depends on the rounding errors of the measured state. A second flight that followed
-        the recorded plans would have no feedback from its own state to the plans, and would deviate
-        from the recorded flight within seconds.
+        A part begins with a new plan. Both simulations of a part start from the same state. The
+        whole flight cannot be simulated again for comparison, because each plan made in flight
+        depends on the rounding errors of the measured state. With the recorded plans, a second
+        flight would have no feedback from its own state to the plans. It would deviate from the
+        recorded flight within seconds.
 
         Returns
         -------
@@ -397,28 +399,29 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    The flight is verified in parts, from one new plan to the next: a second integrator, which
-    starts at the same state and follows the same plan, must end at the same place and spend the
-    same energy.
+    The flight is verified in parts, from one new plan to the next. Each part is simulated a second
+    time, from the same state, along the same plan and with another integrator. The second
+    simulation must end at the same place and spend the same energy.
 
     Parameters
     ----------
     scenario : Scenario
         The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
-        Knowledge of the wind in the re-plans: the actual wind, the forecast corrected by an
-        estimate, or the forecast alone.
+        Wind that the re-plans assume: the actual wind, the forecast corrected by an estimate, or
+        the forecast alone.
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner
         Planner that compiles the equations.
     plan : Plan, optional
-        Plan made before take-off; without it, the mission is planned first. The margins of this
-        plan apply to the re-plans. If the flight ends off the goal, the costates of this plan give
-        an estimate of the energy that is still needed to reach the goal.
+        Plan made before take-off; without it, the mission is planned first. The re-plans keep the
+        margins of this plan, the amounts by which its limits were tightened. If the flight ends off
+        the goal, the costates of the plan give an estimate of the energy that is still needed.
     computer : callable, optional
-        Takes the processor time of a solve on this machine [s] and returns the time that the solve
-        takes aboard [s]; by default the time that the scenario states, or the processor time.
+        Takes the processor time of a solve on this machine [s]; returns the time that the solve
+        takes aboard [s]. By default this is the time that the scenario states, or the processor
+        time.
 
     Returns
     -------

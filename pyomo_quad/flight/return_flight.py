@@ -1,12 +1,12 @@
 """Airspeed and battery currents of a vehicle's steady return flight.
 
-A mission may reserve battery charge for a return to the start or to a rally point. The reserve is
-computed from the airspeed and the battery currents of the return. The airspeed minimises the charge
-per metre over the ground, against the wind at the start of the mission. The current is evaluated at
-this airspeed and at the lowest state of charge that the return may reach, because the current is
-greatest there. Over terrain the return begins with a climb. The current of the climb is the greater
-of the current of a vertical climb in still air and the current of a climb at the airspeed of the
-return.
+A mission may reserve battery charge for a return to the start or to a rally point. The airspeed and
+the battery currents of the return determine this reserve. The airspeed minimises the charge per
+metre over the ground, against the wind at the start of the mission. The current at this airspeed is
+evaluated at the lowest state of charge that the return may reach, because it is greatest there.
+Over terrain the return begins with a climb. The current of a climb is computed twice: for a
+vertical climb in still air, and for a climb at the airspeed of the return. The greater current is
+used.
 """
 
 from typing import TYPE_CHECKING
@@ -62,8 +62,8 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
     """Return the airspeed of least battery charge per metre over the ground [m/s].
 
-    `wind` is the head wind [m/s]. `scenario` gives the lowest state of charge allowed, at which the
-    battery current is evaluated, and `steady` computes the steady flight at each airspeed.
+    `wind` is the head wind [m/s]. `steady` computes the steady flight at each airspeed. The battery
+    current is evaluated at the lowest state of charge that `scenario` allows.
     """
 
     def cost(airspeed: float) -> float:
@@ -87,10 +87,10 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
     """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
 
-    `scenario` gives this charge and the rate of climb, and `steady` computes the flight. The result
-    is the greater of two currents: at zero airspeed and at the given airspeed [m/s].
-    With increasing airspeed, the power of a climb first falls and then rises, so that no airspeed
-    between the two needs a greater current.
+    The result is the greater of the currents at zero airspeed and at `airspeed` [m/s]. With
+    increasing airspeed, the power of a climb first falls and then rises. No airspeed in between
+    therefore needs a greater current. `scenario` gives the lowest charge and the rate of climb.
+    `steady` computes the flight.
 
     Raises
     ------

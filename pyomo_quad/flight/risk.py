@@ -1,13 +1,13 @@
 """Plans that keep an allowed risk, with margins for turbulence and uncertain parameters.
 
-The risk is the probability that a flight in turbulence breaks any limit; a margin is the amount by
-which a limit is tightened for the plan.  The margins are found by iteration.  The covariance of
-flights about a plan gives the margins that the allowed risk requires, and a new plan is solved with
-these margins.  Both steps are repeated until the margins hardly change any more; each repetition
-solves the same compiled problem on the same mesh again.  The plan is then refined and verified, and
-simulated flights in turbulence test it.  If the test flights break a limit too often, the margin on
-this limit is increased and the plan is solved, refined and tested again. See docs/theory/risk.md,
-eqs. (7) to (9).
+The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount by
+which a limit is tightened for the plan. The margins are found by iteration. The covariance of
+flights about a plan gives the margins that the allowed risk requires. A new plan is solved with
+these margins, on the same mesh. Both steps are repeated until the margins hardly change.
+
+The plan is then refined and verified. Simulated flights in turbulence test it. If the test flights
+break a limit too often, the margin on this limit is increased. The plan is then solved, refined and
+tested again. See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -116,11 +116,11 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    It is the risk that the scenario states. If the scenario states no risk, the result is 1, which
-    allows any risk and needs no margins. A plan of free duration is an exception and gets a risk of
-    one per cent (`_USUAL_RISK`): without margins, such a plan uses the full thrust of the rotors,
-    so that no controller can follow it. This exception is not made for the simplified attitude
-    equations of the paper (Yacef et al.).
+    The scenario may state the risk. Otherwise the result is 1, which allows any risk and needs no
+    margins. A plan of free duration is an exception: its risk is one per cent (`_USUAL_RISK`).
+    Without margins, a plan of free duration uses the full thrust of the rotors, so that no
+    controller can follow it. The exception does not apply to the simplified attitude equations of
+    the paper (Yacef et al.).
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -134,7 +134,7 @@ def plan_at_risk(
 ) -> Plan:
     """Solve a scenario for a plan whose margins are large enough for the allowed risk.
 
-    The risk is the probability that a flight in turbulence breaks any limit; margins are the
+    The risk is the probability that a flight in turbulence breaks any limit. Margins are the
     amounts by which limits are tightened for the plan.
 
     Parameters
@@ -151,9 +151,9 @@ def plan_at_risk(
     Returns
     -------
     Plan
-        Plan whose attribute `risk` records margins and test flights. For a scenario that allows any
-        risk it is the plan of `Planner.solve`, without margins. If the allowed risk cannot be
-        reached, or if the search is stopped, it is the plan of least risk that was found.
+        Plan whose attribute `risk` records margins and test flights. If the allowed risk cannot be
+        reached, or if the search is stopped, it is the plan of least risk that was found. If the
+        scenario allows any risk, it is the plan of `Planner.solve`, without margins.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -230,8 +230,8 @@ class _Tried:
         Random samples of the distance and speed of flights at the goal and the waypoints, each with
         its limit.
     is_refined : bool
-        Whether the mesh was refined for this plan and the plan was verified. If not, the plan was
-        solved on the mesh of the plan without margins.
+        Whether the mesh was refined for this plan and the plan was verified. If False, the plan has
+        the mesh of the plan without margins.
     """
 
     plan: Plan
@@ -243,7 +243,7 @@ class _Tried:
 
     @property
     def predicted(self) -> float:
-        """Upper bound on the probability that a flight that follows the plan breaks any limit.
+        """Upper bound on the probability that a flight along the plan breaks any limit.
 
         It is the sum of the probabilities for the single limits (Boole's inequality).
         """
@@ -258,16 +258,16 @@ class _Tried:
     def missing_places(self) -> float:
         """Probability that a flight misses the goal or a waypoint for lack of thrust.
 
-        Some limits at the goal and the waypoints cannot be tightened for the plan by a field of the
-        scenario, for example the distance from the goal at the end. The result is the sum of the
-        probabilities of breaking these limits. Flights break them less often only if the plan
-        leaves the rotors a reserve of thrust.
+        No field of the scenario can tighten some limits at the goal and the waypoints, for example
+        the distance from the goal at the end. The result is the sum of the probabilities of
+        breaking these limits. To break them less often, the plan must leave the rotors a reserve of
+        thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """Distance from the goal [m] at the end of a flight that follows the plan without gusts.
+        """Distance [m] from the goal at the end of a flight along the plan without gusts.
 
         A large distance shows that the rotors are too weak to follow the plan.
         """
@@ -307,8 +307,8 @@ class _Tested:
 class _Search:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
-    Margins are the amounts by which limits are tightened for the plan. They are to be so large that
-    flights in turbulence break a limit with at most the allowed probability (the risk).
+    Margins are the amounts by which limits are tightened for the plan. The risk is the probability
+    that a flight in turbulence breaks a limit. The margins are to keep it below the allowed risk.
 
     Parameters
     ----------
@@ -377,12 +377,11 @@ class _Search:
         """Simulate test flights of a plan; if enough reach the goal, refine it and test it again.
 
         `tried` is the plan with its margins. Test flights are simulations under feedback in random
-        turbulence, which count how often a limit is broken. They take less time than a refinement
-        of the plan's mesh with the simulation that verifies the plan. A plan whose test flights
-        miss the goal too often is therefore not refined. A plan whose test flights only break other
-        limits is refined, verified and tested again, because its coarse mesh may be the reason. A
-        plan that has been refined before is only tested. The result is that of the last test
-        flights.
+        turbulence, which count how often a limit is broken. A refinement takes longer than a test.
+        A plan whose test flights miss the goal too often is therefore not refined. Any other plan
+        on a coarse mesh is refined, verified and tested again, because the mesh may be the reason
+        for broken limits. A plan that has been refined before is tested only once. The result is
+        that of the last test.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
@@ -400,14 +399,14 @@ class _Search:
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
         """Reduce the margins of a plan if they cost much energy, while it still passes its test.
 
-        Margins are the amounts by which limits are tightened for the plan. Each new margin is the
-        mean of two margins: that of the plan `best`, which passed its test, and that of the last
-        plan that failed its test (zero if none failed). Choosing one of several plans by their test
-        flights favours plans whose flights kept the limits by chance. Therefore a plan with smaller
-        margins is accepted only if at most half as many of its test flights break a limit as the
-        risk allows.
+        Margins are the amounts by which limits are tightened for the plan. `best` is a plan that
+        passed its test flights. `failed` has the plans tried before `best`, with the results of
+        their test flights. Each new margin is halfway between the margin of `best` and that of the
+        last failed plan, or zero if no plan failed.
 
-        `failed` has the plans tried before `best`, with the results of their test flights.
+        The plan with smaller margins is accepted only if at most half the allowed number of its
+        test flights break a limit. This is stricter than the usual test: a choice among several
+        plans favours plans whose flights kept the limits by chance.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -433,9 +432,9 @@ class _Search:
     def unfinished(self, why: str) -> Plan:
         """Return the last flyable plan of a search for margins that ended early.
 
-        A flyable plan is a plan that simulation confirms. The record of the risk in the returned
-        plan states the reason ``why`` the search ended, in words. No test flights in turbulence
-        confirm the risk of this plan, the probability that a flight breaks a limit.
+        A flyable plan is a plan that simulation confirms. The plan's record of the risk states the
+        reason ``why`` the search ended, in words. The risk is the probability that a flight breaks
+        a limit. No test flights in turbulence confirm the risk of the returned plan.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -453,7 +452,7 @@ class _Search:
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
         """Return a plan with a record of its risk: allowed risk, margins, and results of tests.
 
-        The risk is the probability that a flight in turbulence breaks any limit; the tests are
+        The risk is the probability that a flight in turbulence breaks any limit. The tests are
         simulated flights.
 
         Parameters
@@ -486,8 +485,8 @@ class _Search:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
         Margins are the amounts by which limits are tightened for the plan. `tried` is the plan on a
-        coarse mesh; the result is the refined plan with its own statistics of flights. A plan that
-        has been refined before is returned unchanged.
+        coarse mesh. The result is the refined plan with newly predicted statistics of flights. A
+        plan that has been refined before is returned unchanged.
         """
         if tried.is_refined:
             return tried
@@ -518,7 +517,7 @@ class _Search:
         )
 
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
-        """Solve the scenario with limits tightened by margins, warm-started from another plan.
+        """Solve the scenario with limits tightened by margins, with another plan as initial guess.
 
         `last` is the other plan. `margins` maps each scenario field to the amount by which its
         limit is tightened.
@@ -526,8 +525,9 @@ class _Search:
         Returns
         -------
         _Tried or None
-            The plan on the mesh of `last`, not refined, with the predicted statistics of flights
-            that follow it; None if the solve fails.
+            The plan on the mesh of `last`, not refined, with predicted statistics of flights along
+            the plan; None if the solve fails. A mission of least duration is solved and refined
+            anew.
         """
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
@@ -543,11 +543,11 @@ class _Search:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        If flights that follow the plan `tried` are predicted to miss the goal too often, plans are
-        solved that leave a part of thrust and tilt as a reserve for the controller. The least
-        sufficient reserve is found by bisection. The result is the cheapest plan whose flights
-        arrive. If flights miss the goal with every reserve, the result is the plan whose flights
-        miss it least often.
+        `tried` is returned unchanged if flights along it are predicted to miss the goal seldom
+        enough. Otherwise plans are solved that leave a part of thrust and tilt as a reserve for the
+        controller. The least sufficient reserve is found by bisection. The result is the cheapest
+        plan whose flights arrive often enough. If no reserve is sufficient, the result is the plan
+        whose flights miss the goal least often.
         """
         if self._is_followed(tried):
             return tried
@@ -581,11 +581,11 @@ class _Search:
     def _missed_by_hover(self) -> float:
         """Return the fraction of hovering vehicles that gusts carry away from the goal.
 
-        The mission limits the distance from the goal and the speed at the end of a flight. Vehicles
-        are simulated that hover at the goal in turbulence for `_HOVER_S` seconds. The result is the
-        fraction of them that then break one of these two limits. A vehicle that has hovered there
-        keeps the limits at least as often as a vehicle that has just arrived. With any margins, at
-        least this fraction of the flights therefore misses the goal.
+        The simulated vehicles hover at the goal in turbulence for `_HOVER_S` seconds. The mission
+        limits the distance from the goal and the speed at the end of a flight. The result is the
+        fraction of the vehicles that break one of these limits after the hover. A vehicle that has
+        hovered keeps the limits at least as often as a vehicle that has just arrived. Whatever the
+        margins of a plan, at least this fraction of the flights therefore misses the goal.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
@@ -627,9 +627,10 @@ class _Search:
     def _steeper_than_the_controller(self) -> dict[str, float]:
         """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
 
-        The controller's limit is the largest tilt that it may command. A plan with these amounts as
-        margins stays within this tilt. The result maps the scenario fields of the two limits to the
-        amounts; it is empty if the scenario does not limit the controller's tilt.
+        The controller's limit is the largest tilt that it may command. With these amounts as
+        margins, a plan stays within the controller's limit. The result maps the scenario fields of
+        the roll and pitch limits to the amounts. It is empty if the scenario does not limit the
+        controller's tilt.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -643,11 +644,11 @@ class _Search:
         """Solve with new margins repeatedly, until the plan has the margins that its risk requires.
 
         Margins are the amounts by which limits are tightened for the plan. The covariance of
-        flights in turbulence about a plan determines the margins that the allowed risk requires. A
-        plan with these margins has another covariance, and so requires other margins: the solves
-        are a fixed-point iteration. `tried` is the plan from which the iteration starts. The result
-        is the last plan that was solved. It has the required margins, unless the iteration ended
-        early: after a failed solve, after `_PLANS` solves, or because the user stopped the search.
+        flights about a plan determines the margins that the allowed risk requires. A plan with
+        these margins has another covariance, and so requires other margins. The solves are
+        therefore a fixed-point iteration, which starts from the plan `tried`. The result is the
+        last plan that was solved. The iteration ends early after a failed solve, after `_PLANS`
+        solves, or if the user stops the search.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
@@ -662,12 +663,12 @@ class _Search:
     def _margins(self, tried: _Tried) -> dict[str, float]:
         """Return the margins that the allowed risk requires, from predicted statistics of flights.
 
-        Margins are the amounts by which limits are tightened for the plan; the risk is the
-        probability that a flight in turbulence breaks any limit. First, two probabilities are
-        subtracted from the allowed risk: the probability of missing the goal, and the probability
-        of breaking limits that need no margin because flights hardly ever break them. The rest is
-        divided equally among the limits that need a margin. `tried` is a plan with the statistics
-        of flights that follow it. The result maps each scenario field to its margin.
+        Margins are the amounts by which limits are tightened for the plan. The risk is the
+        probability that a flight in turbulence breaks any limit. The probability of missing the
+        goal is subtracted from the allowed risk. The probability of breaking limits that flights
+        hardly ever break is subtracted too; these limits need no margin. The rest is divided
+        equally among the other limits. `tried` is a plan with the statistics of flights that follow
+        it. The result maps each scenario field to its margin.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -700,8 +701,8 @@ class _Search:
     def _agree(self, kept: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Return whether the margins of a plan are close to the margins that the risk requires.
 
-        `kept` has the margins of the plan, `wanted` the margins that the covariance of its flights
-        requires. Both map a scenario field to the amount by which its limit is tightened.
+        `kept` has the margins of the plan. `wanted` has the margins that the covariance of its
+        flights requires. Both map a scenario field to the amount by which its limit is tightened.
         """
         for name in {*kept, *wanted}:
             one, other = kept.get(name, 0.0), wanted.get(name, 0.0)
@@ -716,10 +717,10 @@ class _Search:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        `tried` is the plan with its margins. A part of the flights is simulated first. If more of
-        them break a limit than the risk allows for all flights together, the plan has failed, and
-        the other flights are not simulated. `is_whole` requires the simulation of all flights.
-        `seed` is the seed of the random winds.
+        `tried` is the plan with its margins, and `seed` the seed of the random winds. A part of the
+        flights is simulated first. The plan has failed if more of them break a limit than the risk
+        allows for all flights together. The other flights are then not simulated. With `is_whole`,
+        all flights are simulated at once.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -764,10 +765,11 @@ class _Search:
 
         Margins are the amounts by which limits are tightened for the plan. `tested` has the results
         of the test flights and the present margins. The result maps each scenario field to its new
-        margin. A flight misses the goal if it has too little thrust or time to correct the effect
-        of a gust. If flights miss the goal too often, the margins that leave a reserve of thrust,
-        rotor speed and tilt therefore grow as well, the more the larger the fraction of these
-        flights is.
+        margin.
+
+        A flight misses the goal if it has too little thrust or time to correct the effect of a
+        gust. If flights miss the goal too often, the reserve of thrust, rotor speed and tilt grows
+        too. It grows in proportion to the fraction of flights that miss the goal, within bounds.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -803,8 +805,8 @@ class _Search:
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return advice to the user on how to change the mission so that flights keep its limits.
 
-        `tried` is the plan. `limiting` has the names in words of the limits that the test flights
-        of this plan broke most often; the advice concerns the first of these limits.
+        `tried` is the plan. `limiting` has the limits that its test flights broke most often, by
+        their names in words. The advice concerns the first of these limits.
         """
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
@@ -818,7 +820,7 @@ class _Search:
         """Return advice to the user: how weak turbulence must be for flights to reach the goal.
 
         The greatest admissible strength of the turbulence is computed from the predicted statistics
-        of flights that follow the plan `tried`.
+        of flights along the plan `tried`.
         """
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
@@ -859,8 +861,9 @@ def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
     """Return the planned states and controls at the n times for which a covariance was computed.
 
     `spread` has the covariance of the states of flights about the plan, at the times `spread.t`.
-    The shapes are (n, n_states) and (n, n_controls). The states are in the order of the equations
-    of `spread`; states that the plan does not have, such as those of the turbulence, are zero.
+    The states have the shape (n, n_states), the controls (n, n_controls). The states are in the
+    order of the equations of `spread`. States that the plan does not have, such as those of the
+    turbulence, are zero.
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

@@ -1,9 +1,9 @@
 """Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
-A journey is a sequence of routes, one for each leg of a mission from one waypoint to the next.  The
-energy of steady flight is an estimate of the cost of each journey; journeys whose estimate is much
-higher than the least are left out.  The mission is solved along each other journey on one coarse
-mesh. The best of these solutions are solved again on the next mesh, and the best of the new
+A leg leads from one waypoint of the mission to the next. A journey is a sequence of routes, one for
+each leg. The cost of each journey is estimated as the energy of steady flight. Journeys with an
+estimate much higher than the least are left out. The mission is solved along each other journey on
+one coarse mesh. The best of these solutions are solved again on the next mesh. The best of the new
 solutions are refined to the tolerance.
 """
 
@@ -70,8 +70,8 @@ class RouteFlights:
     Attributes
     ----------
     paces : tuple of float
-        Durations of the initial guesses along each journey, relative to the nominal duration. There
-        are several for a flight of free duration through a wind field, which has many local optima.
+        Durations of the initial guesses along each journey, relative to the nominal duration. A
+        flight of free duration through a wind field has several, because it has many local optima.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -104,7 +104,8 @@ class RouteFlights:
         ----------
         most : int, optional
             Largest number of journeys; by default all candidates. The shortest journeys are taken
-            first, in a wind field the journeys of least estimated cost.
+            first. In a wind field without `most`, the journeys of least estimated cost are taken
+            first.
 
         Returns
         -------
@@ -125,8 +126,8 @@ class RouteFlights:
         """Solve the mission along given journeys on one mesh, and refine the best solutions.
 
         A journey is a sequence of routes, one for each leg from one waypoint to the next. Two
-        journeys may lead to the same solution, such as journeys over and beside a sphere. The
-        longer journey is then left out.
+        journeys may lead to the same solution, such as journeys over and beside a sphere. The later
+        of two such journeys is left out.
 
         Returns
         -------
@@ -164,18 +165,24 @@ class RouteFlights:
     def _each_flown(
         self, journeys: Sequence[Journey], dominant: list[_SidesTouched]
     ) -> Iterator[tuple[Journey, Solution]]:
-        """Solve along journeys that no solved journey dominates; give each with its solution.
+        """Solve along the given journeys, one after the other or on several cores.
 
-        The first journey is solved alone, since its solution as a rule dominates others. Then as
-        many journeys are solved at the same time as there are cores. The results do not depend on
-        this number: a solution is dropped if a journey before it turns out to dominate its own.
+        A journey is left out if the solution along another journey is known to cost no more (see
+        `_is_dominated`). The first journey is solved alone, because its solution usually rules out
+        others. Then as many journeys are solved at once as there are cores. The results do not
+        depend on the number of cores.
 
         Parameters
         ----------
         journeys : sequence of tuple of Route
             The journeys, each a route for each leg of the mission from one waypoint to the next.
         dominant : list of _SidesTouched
-            Sides of the zones that the solutions so far touch. The caller extends the list.
+            Sides of the zones that each solution so far touches. The caller extends the list.
+
+        Yields
+        ------
+        (tuple of Route, Solution)
+            A journey and the solution along it.
         """
         yield journeys[0], self.fly(journeys[0])
         waiting, count = [*journeys[1:]], most_solves()
@@ -214,14 +221,12 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return how many of the cheapest journeys are to be solved on a finer mesh, at most.
+        """Return the largest number of journeys to solve on a finer mesh, the cheapest first.
 
         A journey is a route for each leg of the mission. `error` is the relative error of the
-        energies on the present mesh, and `most` is the number of journeys to solve again if this
-        error is too large. Journeys whose energies differ by less than `error` cannot be ranked on
-        this mesh. If `error` is greater than the energy tolerance of the mission, the result is
-        therefore `most`. Otherwise the result is 1, because any other journey then saves less
-        energy than the tolerance.
+        energies on the present mesh. If it is greater than the energy tolerance of the mission, the
+        mesh cannot rank journeys of similar energy. The result is then `most`. Otherwise the result
+        is 1, because any other journey saves less energy than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
@@ -229,8 +234,8 @@ class RouteFlights:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
         A journey is a route for each leg of the mission. `known` maps the number of each journey to
-        its coarse solution, and `near` has the numbers of the best journeys. If the refinement
-        fails for all of them, further solutions are refined until one refinement succeeds.
+        its coarse solution. `near` has the numbers of the best journeys. If the refinement fails
+        for all best journeys, further solutions are refined until one refinement succeeds.
         """
         solved = self._side_by_side([partial(self.refine, known[k], None) for k in near])
         refined = dict(zip(near, solved, strict=True))
@@ -245,16 +250,16 @@ class RouteFlights:
     def energy_of(self, solution: Solution) -> float:
         """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-        The objective may also contain the price of time (weight of the duration) times the
-        duration, and the energy lost inside the battery.
+        The objective may also contain two other terms. One is the duration times the price of time,
+        which is the weight of the duration. The other is the energy lost inside the battery.
         """
         return energy_of(self._scenario, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
         """Return a journey with the sides on which its solution really passes the zones.
 
-        A solution may pass a keep-out zone on another side than its initial guess. A journey is a
-        route for each leg of the mission, from one waypoint to the next. If the solve failed, the
+        A journey is a route for each leg of the mission, from one waypoint to the next. A solution
+        may pass a keep-out zone on another side than its initial guess. If the solve failed, the
         journey is returned unchanged.
         """
         is_flown = solution.status.is_solved
@@ -264,8 +269,8 @@ class RouteFlights:
         """Return the candidate journeys along which the mission is solved, at most ``most``.
 
         A journey is a sequence of routes, one for each leg from one waypoint to the next. The
-        shortest journeys come first; in a wind field, the journeys of least cost in steady flight
-        come first. Journeys of high estimated cost are left out, unless the scenario requires the
+        shortest journeys come first. In a wind field without `most`, the journeys of least cost in
+        steady flight come first. Journeys of high estimated cost are left out, except at the
         highest accuracy, `proof`.
         """
         told = self._scenario
@@ -280,11 +285,11 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The cost is the energy plus the duration times the price of time [W], which is the weight of
-        a free duration. The function takes the unit vector of the direction, shape (3,), and
-        assumes the same ground speed for all directions. If the duration is fixed, the speed is the
-        length of `shortest` divided by the duration; if it is free, the speed is that of least
-        cost. `shortest` is the shortest journey, a sequence of routes, one for each leg.
+        The function takes the unit vector of the direction, shape (3,). The cost is the energy plus
+        the duration times the price of time [W], which is the weight of a free duration. The ground
+        speed is the same for all directions. If the duration is free, it is the speed of least
+        cost. Otherwise it is the length of `shortest` divided by the duration. `shortest` is the
+        shortest journey: a sequence of routes, one for each leg.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
@@ -308,7 +313,7 @@ class RouteFlights:
         """Solve the mission on one mesh from initial guesses along a journey.
 
         A journey is a sequence of routes, one for each leg from one waypoint to the next. The
-        solution returned is the best of the solutions from one guess for each of the `paces`.
+        mission is solved once for each duration in `paces`. The best of the solutions is returned.
         """
         if self._known is not None:
             known, self._known = self._known, None
@@ -321,9 +326,9 @@ class RouteFlights:
 
         A journey is a sequence of routes, one for each leg from one waypoint to the next. `pace` is
         the duration of the guess relative to the nominal duration of the mission. If the solve
-        fails, it is repeated from the solution of an easier mission, in which the vehicle passes
-        exactly through the waypoints. For all further journeys the easier mission is then solved
-        first, because the difficulty does not depend on the journey.
+        fails, it is repeated from the solution of an easier mission. In the easier mission the
+        vehicle passes exactly through the waypoints. For all further journeys the easier mission is
+        solved first, because the difficulty does not depend on the journey.
         """
         told, mission = self._scenario, self._mission
         guess: Any = guess_along(
@@ -347,9 +352,10 @@ class RouteFlights:
         return self._fly_at(journey, pace)
 
     def _fly_beside(self, journey: Journey) -> Solution:
-        """Solve along a journey at the same time as along others, without effect on the others.
+        """Solve along one of several journeys, without effect on the solves along the others.
 
-        As in the method `fly`, the easier mission is solved first if the first solve fails.
+        A journey is a route for each leg of the mission. If the solve fails, it is repeated from
+        the solution of an easier mission, as in the method `fly`.
         """
         is_plain = self._is_plain
         solution = self.fly(journey)
@@ -357,10 +363,10 @@ class RouteFlights:
         return solution
 
     def _side_by_side(self, solves: Sequence[Callable[[], Solution]]) -> tuple[Solution, ...]:
-        """Return the solutions of solves of the mission, carried out on all cores.
+        """Carry out solves of the mission on all cores, and return their solutions in order.
 
-        `solves` are functions without arguments. On one core, or for one solve, they are called in
-        turn.
+        Each of the `solves` is a function without arguments that returns a solution. On one core
+        they are called in turn.
         """
         if len(solves) < 2 or most_solves() < 2:
             return tuple(solve() for solve in solves)
@@ -369,8 +375,8 @@ class RouteFlights:
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
         """Refine the mesh of a solution and solve again, with a limited number of meshes.
 
-        `flown` is the solution on its present mesh. `meshes` is the largest number of meshes, of
-        which the present mesh is the first; None to refine to the mission's tolerance.
+        `flown` is the solution on its present mesh. `meshes` is the largest number of meshes,
+        counting the present mesh. If it is None, the mesh is refined to the mission's tolerance.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -406,8 +412,8 @@ def promising(
     journeys : sequence of tuple of Route
         The journeys to compare.
     cost_per_metre : callable
-        Takes the unit vector of a direction; returns the cost per metre of steady flight in this
-        direction [J/m], infinite if there is no steady flight.
+        Takes the unit vector of a direction, shape (3,). Returns the cost per metre of steady
+        flight in this direction [J/m], infinite if there is no steady flight.
     """
     known: dict[tuple[float, ...], float] = {}
 
@@ -477,8 +483,8 @@ def guess_along(
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which a solution really passes the zones.
 
-    A solution may pass a keep-out zone on another side than its initial guess. A journey is a route
-    for each leg of the mission, from one waypoint to the next.
+    A journey is a route for each leg of the mission, from one waypoint to the next. A solution may
+    pass a keep-out zone on another side than its initial guess.
 
     Parameters
     ----------
@@ -514,13 +520,12 @@ _LOOKS = 8
 
 
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
-    """Return the zones that a flight touches, with the sides on which it passes them, for each leg.
+    """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
     The result has one set of pairs (name of a zone, side) for each leg of the mission. The caller
-    uses it to find other journeys that need not be solved. A zone that the optimum does not touch
-    may be left out of the mission without changing the optimum. A flight on another side of such a
-    zone, with the touched zones on the same sides, is therefore not cheaper; see
-    docs/theory/routes.md.
+    uses the pairs to leave out other journeys. A zone that the optimum does not touch may be
+    removed from the mission without changing the optimum. Another journey that passes the touched
+    zones on the same sides is therefore not cheaper; see docs/theory/routes.md.
 
     Parameters
     ----------
@@ -554,12 +559,11 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 
 
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
-    """Return whether a journey need not be solved, because an optimum along another costs no more.
+    """Return whether a journey need not be solved, because a known solution costs no more.
 
-    A journey is a route for each leg of the mission. The optimum along another journey touches some
-    of the zones. `journey` need not be solved if, on each leg, it passes each of these zones on the
-    same side as the optimum. `touched` describes the optimum: one set of pairs (name of a zone that
-    it touches, side on which it passes the zone) for each leg.
+    A journey is a route for each leg of the mission. `touched` has the zones that the known
+    solution touches: for each leg, a set of pairs (name of a zone, side on which it is passed). The
+    journey need not be solved if it passes all these zones on the same sides.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 
@@ -578,7 +582,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
     """Return whether two solutions are the same flight, within the accuracy of a coarse mesh.
 
     `one` and `other` are solutions of the same mission on the same mesh. They are the same flight
-    if both converged, if their costs agree, and if their paths are at most a few centimetres apart.
+    if both converged, their costs agree, and their paths are at most a few centimetres apart.
     """
     if not (one.status.is_solved and other.status.is_solved):
         return False
@@ -593,8 +597,8 @@ def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int
     """Return the numbers of the solutions whose cost is near the least, the cheapest first.
 
     `known` maps the number of a journey (a route for each leg of the mission) to the solution along
-    it. The cost is the objective of the solve. It is near the least cost if the relative difference
-    between the two is at most `share`. At most `most` numbers are returned.
+    it. The cost is the objective of the solve. The relative difference from the least cost is at
+    most `share`. At most `most` numbers are returned.
     """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)
@@ -610,6 +614,6 @@ def _cheapest(known: Mapping[int, Solution]) -> list[int]:
     """Return the numbers of all solutions, sorted by cost, the cheapest first.
 
     `known` maps the number of a journey (a route for each leg of the mission) to the solution along
-    it. The cost is the objective of the solve; failed solves come last.
+    it. The cost is the objective of the solve. Failed solves come last.
     """
     return sorted(known, key=lambda k: _cost(known[k]))

@@ -2,21 +2,23 @@
 
 Routes belong to the same homotopy class if they pass every zone on the same side: left, right, over
 or under. A route is a path in a graph. The nodes of the graph are points round each zone in the
-way, and its edges are the straight lines between nodes that no zone blocks. Dijkstra's algorithm
-finds the shortest path, which is the shortest route of all.  The other routes are then divided into
-sets [1]_: the set of a zone has the routes that pass this zone on another side than the shortest
-route, but all zones before it on the same side. The shortest route of each set is found in the same
-way, and its set is divided again, so that the routes follow in order of length.
+way. Its edges are the straight lines between nodes that no zone blocks. Dijkstra's algorithm finds
+the shortest path, which is the shortest route of all.
 
-Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk.  Each leg
+The other routes are then divided into sets [1]_, one for each zone. The routes of a set pass its
+zone on another side than the shortest route, and all earlier zones on the same side. The shortest
+route of each set is found by Dijkstra's algorithm too, and the set is divided again. The routes
+therefore follow in order of length.
+
+Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk. Each leg
 is flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0
-along the leg, and -j, 0, j to stop.  A leg that is too short for the speed has no cruise phase and
-a lower peak speed; if it is also too short for the largest acceleration, it has a lower peak
+along the leg, and -j, 0, j to stop. A leg that is too short for the speed has no cruise phase and a
+lower peak speed. A leg that is too short for the largest acceleration also has a lower peak
 acceleration.
 
-The vehicle stops at every waypoint, hovers there as prescribed, and stops at every corner of the
-shortest clear path round keep-out zones; at the goal it hovers. The times that the mission gives
-are ignored: the speed determines the times of a cruise.
+The vehicle stops at every waypoint and hovers there as prescribed. It also stops at every corner of
+the shortest clear path round keep-out zones. At the goal it hovers. The times that the mission
+gives are ignored: the speed determines the times of a cruise.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
    Operations Research 16 (1968).
@@ -117,8 +119,8 @@ def find_routes(
 ) -> tuple[Route, ...]:
     """Return the shortest route of each homotopy class between two places, the shortest first.
 
-    Routes of different classes pass at least one keep-out zone on different sides. Routes more than
-    twice as long as the shortest route are left out.
+    Routes belong to the same class if they pass every keep-out zone on the same side. Routes more
+    than twice as long as the shortest route are left out.
 
     Parameters
     ----------
@@ -132,9 +134,9 @@ def find_routes(
     Returns
     -------
     tuple of Route
-        Empty if there is no route. The distance of a route's corners from each zone exceeds the
-        required clearance by the constant `zones.MARGIN_M` [m]. A gap between two zones that is too
-        narrow for such a corner counts as closed.
+        Empty if there is no route. The corners of a route keep a distance from each zone: the
+        required clearance plus the constant `zones.MARGIN_M` [m]. No route leads between two zones
+        if the space is too narrow for such a corner.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -156,11 +158,11 @@ def find_routes(
 
 
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
-    """Return the names of keep-out zones because of which there is no route between two places.
+    """Return the names of the keep-out zones that block every route between two places.
 
-    If there is a single zone whose removal opens a route, the result names all zones of which this
-    is true. Otherwise it names a set of zones that must all be removed to open a route. `airspace`
-    has the zones; `start` and `goal` are the two places [m].
+    Removing a single zone may open a route. The result then names all zones whose removal alone
+    opens a route. Otherwise the result names zones that must all be removed to open a route.
+    `airspace` has the zones. `start` and `goal` are the two places [m].
     """
     zones = airspace.keep_out
 
@@ -182,8 +184,7 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
 def no_way(airspace: Airspace, start: Place, goal: Place) -> str:
     """Return a message for the user that names the zones which block every route to a goal.
 
-    `airspace` has the zones; `start` and `goal` are the positions between which there is no route
-    [m].
+    `airspace` has the zones. `start` and `goal` are the two ends of the blocked routes [m].
     """
     names = zones_that_block(airspace, start, goal)
     told = [name for name in ("floor", "ceiling") if getattr(airspace, name) is not None]
@@ -208,8 +209,8 @@ Journey = tuple[Route, ...]
 def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, ...]:
     """Return the shortest journeys through all stops of a mission.
 
-    A journey is a sequence of routes, one for each leg from one stop to the next. The constant
-    `MOST_ROUTES` is the largest number of journeys returned.
+    A journey is a sequence of routes, one for each leg from one stop to the next. At most
+    `MOST_ROUTES` journeys are returned.
 
     Parameters
     ----------
@@ -221,7 +222,7 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
     Returns
     -------
     tuple of tuple of Route
-        The shortest journey first.
+        The journeys, the shortest first.
 
     Raises
     ------
@@ -254,9 +255,9 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
     """Return an easier mission, in which waypoints are passed exactly and at any speed.
 
     `told` is the scenario of the mission. In the easier mission, the waypoints have no radius and
-    no speed limit. This makes a first solve easier, because the gradient of such a limit vanishes
-    where the limited distance or speed is zero. The result is None if no waypoint of the mission
-    has a radius or a speed limit.
+    no speed limit. Such a limit makes a first solve difficult, because its gradient vanishes where
+    the limited distance or speed is zero. The result is None if no waypoint has a radius or a speed
+    limit.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -276,7 +277,8 @@ class _Graph:
     ends : ndarray, shape (2, 3)
         Start and goal [m].
     relevant : list of KeepOut
-        The zones that block lines of the graph; the caller checks routes against all other zones.
+        The zones that block lines of the graph. Routes may cross the other zones, so the caller
+        checks the routes against them.
     """
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
@@ -338,8 +340,8 @@ class _Graph:
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
         """Return length [m] and nodes of the shortest path that passes zones on allowed sides only.
 
-        The path leads from the start to the goal; its nodes are given by their indices. `allowed`
-        has, for each zone of the graph, the indices of the allowed members of `Side`. The result is
+        The path leads from the start to the goal. Its nodes are given by their indices. For each
+        zone of the graph, `allowed` has the indices of the allowed members of `Side`. The result is
         None if there is no such path.
         """
         is_open = np.ones(len(self._first), dtype=bool)
@@ -359,8 +361,8 @@ class _Graph:
     def _sides_of(self, nodes: list[int]) -> list[int]:
         """Return the side on which a path passes each zone of the graph, as an index into `Side`.
 
-        `nodes` has the indices of the path's nodes. The result has one entry for each zone, which
-        is -1 for a zone that the path does not pass.
+        `nodes` has the indices of the path's nodes. The result has one entry for each zone. The
+        entry is -1 if the path does not pass the zone.
         """
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
@@ -382,8 +384,8 @@ class TriedRoute:
     length_m : float
         Length of the route made of straight lines, which was the initial guess.
     energy_J : float or None
-        Energy of the optimal flight along the route [J], on a coarse mesh if `is_refined` is False.
-        None if the solve failed.
+        Energy of the optimal flight along the route [J]; None if the solve failed. If `is_refined`
+        is False, the energy is that on a coarse mesh.
     is_refined : bool
         Whether the flight was solved to the mission's tolerance.
     is_kept : bool
@@ -410,9 +412,9 @@ _INSTANT = 1e-9
 class SpeedProfile(NamedTuple):
     """Samples of a motion from rest to rest along a straight line, in phases of constant jerk.
 
-    The 8 samples are the start of the motion and the ends of its seven phases. `times` [s],
-    `distances` from the start [m], `speeds` [m/s] and `accelerations` [m/s^2] along the line are
-    the values at the samples, each of shape (8,).
+    The motion has seven phases. The 8 samples are taken at its start and at the end of each phase.
+    All fields have the shape (8,): the times [s], the distances from the start [m], the speeds
+    [m/s] and the accelerations along the line [m/s^2].
     """
 
     times: FloatArray
@@ -438,7 +440,7 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
     Returns
     -------
     SpeedProfile
-        Samples at the start and at the ends of the seven phases, of which some may have zero
+        Samples at the start and at the end of each of the seven phases. Some phases may have zero
         duration.
     """
     peak = min(speed, _peak_speed(distance, acceleration, jerk))
@@ -466,8 +468,8 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     """Return the peak speed of the fastest motion from rest to rest over a distance [m/s].
 
-    `distance` is the distance [m]. The magnitudes of acceleration and jerk are limited to
-    `acceleration` [m/s^2] and `jerk` [m/s^3]; the speed is not limited.
+    `distance` is the distance [m]. `acceleration` [m/s^2] and `jerk` [m/s^3] are the largest
+    magnitudes allowed. The speed is not limited.
     """
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
@@ -485,7 +487,7 @@ def cruise_at(
     """Return the mission with the times of an autopilot's cruise: passing times and duration.
 
     Cruise is flight along straight legs at one speed. At the end the vehicle hovers at the goal for
-    `settling_s`, or for longer if the flight would otherwise last less than `least_s`.
+    `settling_s`. If the flight would then last less than `least_s`, the hover is longer.
 
     Parameters
     ----------
@@ -547,15 +549,15 @@ def cruise(scenario: Scenario) -> SampledPath:
 
 
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
-    """Return the straight pieces of an autopilot's cruise, for each leg of the mission.
+    """Return the straight lines of an autopilot's cruise, for each leg of the mission.
 
     Cruise is flight along straight lines at one speed. A leg leads from one waypoint to the next.
-    It has several pieces if it leads round zones; the vehicle stops between them.
+    If it leads round zones, it has several lines, and the vehicle stops between them.
 
     Returns
     -------
     list of list of (ndarray, SpeedProfile)
-        For each leg, its pieces; each piece has a displacement, shape (3,) [m], and a motion from
+        For each leg, its lines. Each line has a displacement, shape (3,) [m], and a motion from
         rest to rest.
     """
     airspace, settings = scenario.airspace, own_cruise(scenario)
@@ -586,8 +588,8 @@ def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
     Cruise is the flight of an autopilot along straight lines at one speed. The legs of the mission
-    may be too short for the speed and acceleration that the scenario sets. The returned settings,
-    with the jerk of the scenario, result in the same flight.
+    may be too short for the speed and acceleration that the scenario sets. The returned settings
+    keep the jerk of the scenario, and result in the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(

@@ -41,8 +41,8 @@ class Stage(StrEnum):
     """Stage of a search for a plan, as a progress display shows it.
 
     The stages are the comparison of routes round zones, the first solves on coarse meshes, the
-    simulations in search of a usable plan (a plan that simulation confirms at lower accuracy than
-    requested), and the refinement of the mesh to the requested accuracy.
+    search for a usable plan, and the refinement of the mesh to the requested accuracy. A usable
+    plan is a plan that simulation confirms at lower accuracy than requested.
     """
 
     ROUTES = "routes"
@@ -63,13 +63,13 @@ class State:
         Energy of the solution on the last mesh that was solved [J]; infinite before the first
         solution.
     uncertainty : float
-        Relative change of the energy from the second last to the last mesh that was solved;
-        infinite if fewer than two were solved.
+        Relative change of the energy from the second last to the last solved mesh; infinite if
+        fewer than two meshes were solved.
     spent_s : float
         Processor time since the search began [s].
     has_usable : bool
-        Whether a usable plan was found, which is returned if the search is stopped now. A usable
-        plan is a plan that simulation confirms at lower accuracy than requested.
+        Whether the search has a usable plan to return if it is stopped now. A usable plan is a plan
+        that simulation confirms at lower accuracy than requested.
     iteration : Iteration
         Present iteration of Ipopt.
     """
@@ -86,10 +86,10 @@ class Search:
     """State of one search for a plan, from its first solve to its result.
 
     A search consists of many solves, on several meshes and from several initial guesses. One object
-    of this class is the progress callback of them all: Ipopt calls it at each iteration, and stops
-    if the search has used up its time. The object also keeps the best usable plan, which is
-    returned if the search is stopped. A usable plan is a plan that simulation confirms at lower
-    accuracy than requested.
+    of this class is the progress callback of all solves. Ipopt calls it at each iteration, and
+    stops if the search has used up its time. The object also keeps the best usable plan: a plan
+    that simulation confirms at lower accuracy than requested. It is the result of a search that is
+    stopped.
 
     Parameters
     ----------
@@ -105,7 +105,7 @@ class Search:
     stage : Stage
         Present stage of the search, such as the comparison of routes.
     record : list of str
-        Names and outcomes of the planning strategies carried out so far.
+        Names and outcomes of the ways tried so far to obtain or to improve a plan.
     usable : Plan or None
         The best usable plan so far.
     work : int
@@ -133,9 +133,10 @@ class Search:
 
     @property
     def effort(self) -> int:
-        """Cost of the solves since the last call of `begin_effort`, which limits this cost.
+        """Cost of the solves since the last call of `begin_effort`.
 
         The cost is measured as the number of mesh points, summed over Ipopt's iterations.
+        `begin_effort` sets its upper limit.
         """
         return self.work - self._effort_from
 
@@ -144,10 +145,9 @@ class Search:
         """Whether it is too early in the search to spend time on making usable plans.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
-        needed only if the search is stopped before it ends. During the first solves (about two
-        seconds), making usable plans would only delay the search, because most searches end soon by
-        themselves. The property is taken into account only if the highest accuracy, `proof`, is
-        requested.
+        needed only if the search is stopped before it ends. The result is True during the first two
+        seconds of solves, because most searches end soon without being stopped. The caller uses the
+        property only if the highest accuracy, `proof`, is requested.
         """
         return self.work - self._patient_from < _PATIENCE
 
@@ -155,26 +155,26 @@ class Search:
         """Set the function that makes the first usable plan, if the search takes long.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
-        result of a search that is stopped. Most searches end soon by themselves, and do not need
-        it. The function `make_first` is called once, between two iterations of Ipopt, when the
-        search has taken somewhat less than a second and has no usable plan yet. The function
-        returns a plan that was simulated, or None.
+        result of a search that is stopped. The function `make_first` returns a plan that was
+        simulated, or None. It is called once, between two iterations of Ipopt, if after somewhat
+        less than a second the search has no usable plan. Most searches end earlier and do not need
+        it.
         """
         self._make_first = make_first
 
     def begin_apart(self, spent_s: float) -> None:
-        """Go on with the search in a forked copy of the process, for some of its solves.
+        """Continue the search in a forked copy of the process, for some of its solves.
 
         The copy makes no first plan and shows no progress. `spent_s` is the processor time of the
-        search before the copy was made; the clock of a copy starts at zero.
+        search before the fork [s], because the clock of the copy starts at zero.
         """
         self._make_first = self._show = None
         self._began = time.thread_time() - spent_s
 
     def is_stopped(self) -> bool:
-        """Return whether the search is over: stopped by the user, or by its time limit.
+        """Return whether the user or the time limit has stopped the search.
 
-        The progress callback of the caller is asked once more, with the last iteration of Ipopt.
+        The progress callback of the caller is called once more, with the last iteration of Ipopt.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -182,8 +182,8 @@ class Search:
         """Make the first plan of the search, and store it if it is usable.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        function set by `begin_with` makes the plan. Nothing is done if this function has been
-        called before, if none was set, or if the search has a usable plan already.
+        function set by `begin_with` makes the plan, and is called only once. Nothing is done if no
+        function was set, or if the search has a usable plan already.
         """
         make, self._make_first = self._make_first, None
         if make is None or self.usable is not None:
@@ -197,26 +197,27 @@ class Search:
     def restart_patience(self) -> None:
         """Make no usable plans during the next solves, as during the first solves of the search.
 
-        The property `is_early` becomes true again until these solves have taken about two seconds.
-        The method is called when the search has chosen the order of the waypoints, and begins to
-        solve the whole mission in this order. A usable plan is a plan that simulation confirms at
-        lower accuracy than requested.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
+        property `is_early` becomes true until the next solves have taken about two seconds. This
+        method is called after the order of the waypoints was chosen, before the whole mission is
+        solved in this order.
         """
         self._patient_from = self.work
 
     def begin_effort(self, limit: float) -> None:
-        """Limit the cost of the next solves: set `effort` to zero, and store its upper limit.
+        """Limit the cost of the next solves.
 
-        Solves are stopped when `effort` exceeds `limit`. Both are numbers of mesh points, summed
-        over Ipopt's iterations.
+        The cost `effort` is set to zero. Solves are stopped when `effort` exceeds `limit`. Both are
+        numbers of mesh points, summed over Ipopt's iterations.
         """
         self._effort_from, self._most_effort = self.work, limit
 
     def __call__(self, iteration: Iteration) -> bool:
-        """Take note of an iteration of Ipopt, and return whether Ipopt may continue.
+        """Record an iteration of Ipopt, and return whether Ipopt may continue.
 
-        Ipopt calls this method at each iteration. The result is False if the search has exceeded
-        its time limit, or if the solves have cost more than the limit set by `begin_effort`.
+        Ipopt calls this method at each iteration. The result is False if the search is stopped or
+        has exceeded its time limit. It is also False if the solves have cost more than the limit
+        set by `begin_effort`.
         """
         self._last = iteration
         self.work += iteration.mesh_points
@@ -245,26 +246,25 @@ class Search:
     ) -> None:
         """Try to make a usable plan from the solution on a mesh that has just been solved.
 
-        The mesh refinement calls this method after the solve on each mesh. A usable plan is a plan
-        that simulation confirms at lower accuracy than requested; it is the result of the search if
-        the search is stopped. No usable plan is made if the simulations so far have taken too large
-        a part of the search, or after the time limit.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
+        result of a search that is stopped. The mesh refinement calls this method after the solve on
+        each mesh. No usable plan is made after the time limit, or if simulations have already taken
+        too large a part of the search.
 
         Parameters
         ----------
         energy_J : float
             Energy of the solution [J].
         flown : callable
-            Returns an iterator that makes plans from the solution and simulates them. The first
-            plan is made from the solution as it is. Each further plan is solved with stricter
-            limits, because the simulation of the plan before it broke limits. Further plans are
-            tried only while the search has no usable plan.
+            Returns an iterator over simulated plans. The first plan is made from the solution as it
+            is. Each further plan is solved with stricter limits, because the simulation of the
+            previous plan broke limits. Further plans are tried only while the search has no usable
+            plan.
         points : int
-            Number of points of the mesh, to which the cost of a simulation is taken as
-            proportional.
+            Number of points of the mesh. The cost of a simulation is taken as proportional to it.
         is_early : bool
-            Whether it is too early in the search to spend time on a usable plan. If so, the energy
-            is noted for the progress display, and nothing else is done.
+            Whether it is too early in the search to spend time on a usable plan. If True, only the
+            energy is noted, for the progress display.
         """
         self._note(energy_J)
         share = _SHARE_FOR_BETTER if _is_optimised(self.usable) else _SHARE
@@ -291,10 +291,10 @@ class Search:
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
-        made from a solution of the optimal control problem or, without a solution, from a smooth
-        path along a route. If both plans were made from solutions, the plan with the smaller
-        uncertainty of the energy is better. Otherwise the plan of lower cost is better.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. Plans are
+        made from a solution of the optimal control problem, or from a smooth path along a route. If
+        both plans were made from solutions, the plan with the smaller uncertainty of the energy is
+        better. Otherwise the plan of lower cost is better.
         """
         found, kept = as_usable(plan), self.usable
         if not found.is_flyable:
@@ -311,8 +311,8 @@ class Search:
         """Return the result of the search: its last plan or, if that fails, the best usable plan.
 
         `plan` is the last plan. A usable plan is a plan that simulation confirms at lower accuracy
-        than requested. It replaces a last plan that simulation does not confirm, unless the mission
-        was found infeasible.
+        than requested. The best usable plan replaces a last plan that simulation does not confirm.
+        A last plan that states that the mission is infeasible is not replaced.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -337,8 +337,8 @@ class Search:
         """Return the last plan with status "not converged" if the search ran out of time.
 
         `plan` is the last plan of the search. The message of the returned plan states how far the
-        search came. In three cases `plan` is returned unchanged: if the time limit has not been
-        reached, if simulation confirms `plan`, or if the mission was found infeasible.
+        search came. `plan` is returned unchanged if there was time left, if simulation confirms the
+        plan, or if the mission was found infeasible.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
@@ -359,10 +359,10 @@ def _is_optimised(plan: Plan | None) -> bool:
 def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
-    The lower accuracy consists of fixed tolerances on the simulated flight. A second condition is
-    that there is an estimate of the energy that a better plan may save. The message of the returned
-    plan states the accuracy of the simulated flight. Plans that do not meet both conditions are
-    returned unchanged, as well as infeasible plans and plans that simulation has confirmed already.
+    The lower accuracy consists of fixed tolerances on the simulated flight. The plan must also have
+    an estimate of the energy that a better plan may save. Other plans are returned unchanged.
+    Infeasible plans, and plans that simulation has confirmed already, are also unchanged. The
+    message of a usable plan states the accuracy of the simulated flight.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan
@@ -396,7 +396,7 @@ def _proven(plan: Plan) -> str:
 def accuracy_words(plan: Plan) -> str:
     """Return a text that states the requested and the reached accuracy of a plan.
 
-    It also states the uncertainty of the energy, if that is known.
+    The text also states the uncertainty of the energy, if it is known.
     """
     asked, reached = plan.scenario.solver.accuracy, plan.accuracy_reached
     known = plan.energy_uncertainty

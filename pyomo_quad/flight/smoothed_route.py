@@ -1,12 +1,14 @@
 """Smooth path along a route at prescribed speeds, without an optimisation.
 
-A route consists of straight lines. Consider the motion of a point along these lines with bounded
-acceleration, slowly past corners. The velocity of the point still changes suddenly at each corner.
-The path of this module is a moving average of this motion: a weighted mean of the positions of the
-point over a short span of time. Velocity, acceleration and jerk of the path are continuous, and its
-greatest speed is at most the greatest speed of the point. A moving average cuts corners. The
-corners of the lines are therefore moved outwards, until the path passes through the original
-corners. Derivation and sources: docs/theory/geometric_plan.md, eqs. (1) to (4).
+A route consists of straight lines. A point moves along these lines with bounded acceleration, and
+slowly past corners. Its velocity still changes suddenly at each corner. The smooth path is a moving
+average of this motion: the weighted mean of the point's positions over a short span of time.
+Velocity, acceleration and jerk of the path are continuous. Its greatest speed is at most the
+greatest speed of the point.
+
+A moving average cuts corners. The corners of the lines are therefore moved outwards, until the path
+passes through the original corners. Derivation and sources: docs/theory/geometric_plan.md, eqs. (1)
+to (4).
 """
 
 from __future__ import annotations
@@ -53,7 +55,7 @@ class Stop:
     hold : float or None
         Duration for which the vehicle hovers at the corner [s]; None if it passes without a stop.
     speed_max : float
-        Greatest speed with which the vehicle may pass [m/s].
+        Greatest speed with which the vehicle may pass the corner [m/s].
     """
 
     place: FloatArray
@@ -72,8 +74,8 @@ class Pace:
     acceleration : float
         Greatest acceleration along the lines between the corners [m/s^2].
     turning : float
-        Greatest acceleration of the smooth path at the corners [m/s^2]. The greatest distance by
-        which the smooth path cuts a corner is proportional to this acceleration.
+        Greatest acceleration of the smooth path at the corners [m/s^2]. The smooth path cuts each
+        corner by a distance that is at most proportional to this acceleration.
     """
 
     speed: float
@@ -120,10 +122,10 @@ class SmoothPath:
 class _Motion:
     """Motion along the straight lines of a route, in phases of constant acceleration.
 
-    The moving average of this motion is the smooth path. `times` [s], `distances` travelled from
-    the start [m] and `speeds` [m/s] are the values at the start and at the end of each phase, each
-    of shape (n,). `passings` has, for each corner of the route, the times at which the smooth path
-    reaches and leaves it [s].
+    The smooth path is the moving average of this motion. The values at the start and at the end of
+    each phase are `times` [s], `distances` travelled from the start [m] and `speeds` [m/s], each of
+    shape (n,). For each corner of the route, `passings` has the times at which the smooth path
+    reaches and leaves the corner [s].
     """
 
     times: FloatArray
@@ -146,8 +148,8 @@ def smoothed(
     pace : Pace
         Greatest speed and accelerations.
     lasting : float, optional
-        Duration of the path [s]; the speed is then reduced until the path takes this long. By
-        default the path takes as long as it needs.
+        Duration of the path [s]. The speed is reduced until the path takes this long. By default
+        the path takes as long as it needs at the greatest speed.
 
     Returns
     -------
@@ -170,13 +172,24 @@ def smoothed(
 def _pace_for(
     stops: Sequence[Stop], corners: FloatArray, fastest: Pace, lasting: float
 ) -> Pace | None:
-    """Return a pace whose speed is chosen so that a motion along a route lasts a given duration.
+    """Return the pace with which a motion along a route lasts a given duration.
 
-    `stops` has the corners of the route with the hovers and speeds that the mission requires.
-    `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].
-    `lasting` is the duration [s]. `fastest` gives the accelerations and the greatest speed allowed.
-    The result is None if the motion takes longer than `lasting` even at this speed. If it takes
-    less at a speed of 0.05 m/s, the result has this speed.
+    Parameters
+    ----------
+    stops : sequence of Stop
+        Corners of the route, with the hovers and speeds that the mission requires.
+    corners : ndarray, shape (n, 3)
+        Positions of the corners after they were moved outwards [m].
+    fastest : Pace
+        Greatest speed allowed, and the accelerations.
+    lasting : float
+        Duration of the motion [s].
+
+    Returns
+    -------
+    Pace or None
+        `fastest` with a lower speed, at least 0.05 m/s; None if the motion takes longer than
+        `lasting` even at the greatest speed.
     """
 
     def excess(speed: float) -> float:
@@ -194,12 +207,14 @@ def _pace_for(
 def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> FloatArray:
     """Return the speed of a motion along straight lines at each of n corners [m/s], shape (n,).
 
-    The first corner is the start and the last is the goal. The speed is zero there and at hovers.
-    The speeds are chosen so that two accelerations are at most those of `pace`: the acceleration
-    along the lines between the corners, and the acceleration of the smooth path (the moving average
-    of the motion) at the corners. `stops` has the hover and the greatest speed at each corner, and
-    `steps` the displacement from each corner to the next, shape (n - 1, 3) [m].
-    Implements docs/theory/geometric_plan.md, eqs. (1) and (2).
+    The first corner is the start and the last is the goal. The speed is zero at the start, at the
+    goal and at hovers. Elsewhere it is the greatest speed that `stops` and `pace` allow. `pace`
+    limits the speed, the acceleration along the lines, and the acceleration of the smooth path at
+    the corners. The smooth path is the moving average of the motion.
+
+    `stops` has the hover and the greatest speed at each corner. `steps` has the displacement from
+    each corner to the next, shape (n - 1, 3) [m]. Implements docs/theory/geometric_plan.md, eqs.
+    (1) and (2).
     """
     lengths = np.linalg.norm(steps, axis=1)
     courses = steps / np.maximum(lengths, _SAME_M)[:, None]
@@ -220,10 +235,10 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
 def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
     """Return the motion along straight lines from corner to corner, with bounded acceleration.
 
-    The smooth path is a moving average of this motion over a time span. To let the smooth path rest
-    as the mission requires, the motion rests for longer: by half of the span at the start and the
-    goal, and by the whole span at each hover. At the goal and at hovers a settling time is added,
-    in which deviations of a simulated flight vanish.
+    The smooth path is a moving average of this motion over a time span. At hovers, the motion rests
+    longer than the smooth path by the span. At the start and the goal, it rests for half of the
+    span. A settling time is added at the goal and at hovers, in which deviations of a simulated
+    flight vanish.
 
     `stops` has the corners of the route with the hovers and speeds that the mission requires.
     `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].
@@ -268,10 +283,10 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
     """Return the smooth path that is the moving average, over time, of a motion along lines.
 
-    `motion` is the motion, and `corners` has the ends of the straight lines, shape (n, 3) [m].
+    `motion` is the motion. `corners` has the ends of the straight lines, shape (n, 3) [m].
     `lasting` is the duration of the path [s], or None for the duration of the motion. If the motion
-    ends earlier, the path rests at the last corner until then.
-    Implements docs/theory/geometric_plan.md, eq. (3).
+    is shorter than `lasting`, the path rests at the last corner. Implements
+    docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
 

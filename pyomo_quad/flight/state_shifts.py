@@ -1,11 +1,11 @@
 """Shifts of a path in tilt, speed and rotor speeds that lead its flight within their limits.
 
 Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
-A vehicle that follows the solution under feedback may then exceed the limit too. In the next
-simulated flight, the path that the vehicle follows is therefore shifted away from the limit, in the
-limited states, during the time of the excess. During this time the regulator gives deviations of
-these states a greater weight. The regulator knows the shift in advance, and begins to correct the
-flight before the shift begins. See docs/theory/tracking.md, eq. (9).
+A vehicle that follows the solution under feedback may then exceed the limit too. For the next
+simulated flight, the path that the vehicle follows is shifted away from the limit. Only the limited
+states are shifted, and only during the time of the excess. During this time the regulator gives
+deviations of these states a greater weight. The regulator knows the shift in advance, and begins to
+correct the flight before the shift begins. See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class StateShift:
 def shifts_within_limits(
     names: Sequence[str], flown: Flown, limits: Sequence[LimitValues], tolerated: float
 ) -> tuple[StateShift, ...]:
-    """Return shifts of a path away from limits on tilt, speed and rotor speed.
+    """Return shifts of a path away from the limits that a simulated flight along it exceeds.
 
-    The limits are those that a simulated flight along the path exceeds. The next simulated flight
-    follows the shifted path. Implements docs/theory/tracking.md, eq. (9).
+    Only limits on tilt, speed and rotor speed are considered. The next simulated flight follows the
+    shifted path. Implements docs/theory/tracking.md, eq. (9).
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ def shifts_within_limits(
         Limited quantities at these samples (see `flight.displacement.limits_along`).
     tolerated : float
         Tolerated violation of a limit. It is relative to the greatest magnitude of the limited
-        quantity in the flight, or to 1 in the unit of this quantity if that is larger.
+        quantity in the flight, or to 1 in its unit if the magnitude is less than 1.
 
     Returns
     -------
     tuple of StateShift
-        One shift for each time span in which the flight exceeds one of the limits by more than half
-        of the tolerated violation.
+        One shift for each time span in which the flight exceeds a limit by more than half of the
+        tolerated violation.
     """
     found: list[StateShift] = []
     for limit in limits:
@@ -103,9 +103,9 @@ def shifts_within_limits(
 def shifted(names: Sequence[str], times: FloatArray, shifts: Sequence[StateShift]) -> FloatArray:
     """Return the sum of given shifts of a path's states at n times, shape (n, n_states).
 
-    `shifts` has the shifts, each of which changes some states by a constant during a time span.
-    `names` has the names of all states, in the order of the columns of the result. `times` has the
-    n times [s], shape (n,).
+    Each of the `shifts` changes some states by a constant during a time span. `names` has the names
+    of all states, in the order of the columns of the result. `times` has the n times [s], shape
+    (n,).
     """
     changes = np.zeros((len(times), len(names)))
     for shift in shifts:
@@ -116,9 +116,10 @@ def shifted(names: Sequence[str], times: FloatArray, shifts: Sequence[StateShift
 
 
 def _is_kept_by_shifts(limit: str) -> bool:
-    """Return whether a limit is one on tilt, speed or rotor speed, by its full name `limit`.
+    """Return whether a limit concerns tilt, speed or rotor speed.
 
-    If a flight exceeds such a limit, the path that the flight follows is shifted away from it.
+    `limit` is the full name of the limit. If a flight exceeds such a limit, the path that the
+    flight follows is shifted away from the limit.
     """
     return limit in _TILT_LIMITS or limit == _SPEED_LIMIT or limit.startswith(_ROTOR_LIMIT)
 
@@ -126,11 +127,11 @@ def _is_kept_by_shifts(limit: str) -> bool:
 def _slope(limit: str, names: Sequence[str], states: FloatArray) -> dict[str, float]:
     """Return the gradient of a limited quantity with respect to the states of the vehicle.
 
-    A path is shifted away from an upper limit against the gradient, and away from a lower limit
-    along the gradient. The quantity is a state itself (roll, pitch or a rotor speed) or the speed
-    of the vehicle. `limit` is the full name of the limit. `states` has the states at which the
-    gradient is evaluated, shape (n_states,), and `names` their names. The result maps the name of
-    each state on which the quantity depends to the partial derivative.
+    The quantity is a state (roll, pitch or a rotor speed) or the speed of the vehicle. A path is
+    shifted along the gradient to lead it away from a lower limit, and against the gradient for an
+    upper limit. `limit` is the full name of the limit. `states` has the states at which the
+    gradient is evaluated, shape (n_states,), and `names` has their names. The result maps a state's
+    name to the partial derivative, for each state on which the quantity depends.
     """
     if limit == _SPEED_LIMIT:
         velocity = states[[names.index(name) for name in VELOCITY_STATES]]

@@ -1,8 +1,8 @@
 """Steady flight of a vehicle, computed from its compiled equations: hover, trim and battery load.
 
-A trim consists of the states and controls with which all states are constant except the position,
-which changes at a given velocity. Every quantity is computed with the compiled equations, so that a
-user's own model is treated in the same way as the package's model.
+In steady flight the position changes at a given velocity, and the other states are constant. The
+states and controls of a steady flight are called its trim. Every quantity is computed with the
+compiled equations. A user's own model is thus treated in the same way as the package's model.
 
 The lower bound of the energy uses the momentum balance and the power of this module: see
 docs/theory/bound.md, eqs. (1) and (6).
@@ -79,9 +79,9 @@ class Trim:
 class HoverState:
     """Hover in still air with the battery in its initial state: rotor speed, power and battery.
 
-    The name of each attribute states its unit. The battery's current, voltage and charge rate (the
-    charge drawn per second) are those under the power of the hover; `greatest_battery_power_W` is
-    the greatest power that the battery can give.
+    The name of each attribute states its unit. The battery's current, voltage and charge rate are
+    those under the power of the hover. The charge rate is the charge drawn per second.
+    `greatest_battery_power_W` is the greatest power that the battery can give.
     """
 
     rotor_speed_rad_per_s: float
@@ -125,10 +125,10 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        The states and controls are solved for, with exceptions. Position and heading are those of
-        the mission's start. States that a flight uses up, such as the charge drawn, can never be
-        constant; they keep their initial values. Such a state is recognised because the mission
-        fixes it at the start and leaves it free at the end.
+        The states and controls are solved for, with two exceptions. Position and heading are those
+        of the mission's start. States that a flight uses up, such as the charge drawn, can never be
+        constant; they keep their initial values. A state counts as used up if the mission fixes it
+        at the start and leaves it free at the end.
 
         Parameters
         ----------
@@ -136,7 +136,7 @@ class SteadyFlight:
             Velocity over ground in world axes [m/s]; by default zero (hover). In still air it is
             also the velocity relative to the air.
         near : Trim, optional
-            Trim at a similar velocity, as the initial guess.
+            Steady flight at a similar velocity, as the initial guess.
 
         Returns
         -------
@@ -200,10 +200,10 @@ class SteadyFlight:
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the quantities that a steady flight keeps constant, by name, except the velocity.
+        """Return the states that are constant in a steady flight, except the velocity.
 
-        `trim` is the steady flight. The quantities are attitude, body rates and rotor speeds, and
-        the induced velocity if the model has it. The result maps the full name of each state to its
+        `trim` is the steady flight. The states are attitude, body rates and rotor speeds, and the
+        induced velocity if the model has it. The result maps the full name of each state to its
         value, for an initial guess of the solver.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
@@ -229,8 +229,8 @@ class SteadyFlight:
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
         circuit : ndarray, shape (n, n_circuit), optional
-            Relaxation voltage [V] and temperature [K] of the battery at these charges, as far as
-            the model has these states; by default their initial values.
+            Relaxation voltage [V] and temperature [K] of the battery at the given charges; by
+            default their initial values. A quantity that is not a state of the model has no column.
 
         Returns
         -------
@@ -280,11 +280,11 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        The load is that of the steady flight `trim`. Row k of the result, shape (n, n_circuit),
-        holds the values after the charge `drawn[k]` [A h] was drawn from the full battery. For a
-        charge larger than the battery can give under this load, the row of the largest possible
-        charge is repeated. The battery model may have only one of the two quantities: then there is
-        one column. The result is None if it has neither.
+        The load is that of the steady flight `trim`. `drawn` has charges drawn from the full
+        battery [A h], shape (n,). Row k of the result, shape (n, n_circuit), has the values after
+        the charge `drawn[k]`. If the battery cannot give a charge under this load, the row of the
+        largest possible charge is repeated. A quantity that the battery model does not have has no
+        column. The result is None if the model has neither quantity.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -350,10 +350,9 @@ class SteadyFlight:
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
         """Return the total power [W] at equal, constant rotor speeds; it may be negative.
 
-        In a model in which braking a rotor returns no energy, a negative power is replaced by zero
-        (see `model.power`). The method `power` returns the total power after this
-        replacement, and the present method returns the total power before it. `speed` has rotor
-        speeds [rad/s]; the result has the same shape.
+        In some models, braking a rotor returns no energy. The method `power` then returns zero
+        instead of a negative power (see `model.power`). The present method returns the negative
+        power itself. `speed` has rotor speeds [rad/s]; the result has the same shape.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
@@ -364,9 +363,9 @@ class SteadyFlight:
         """Return the power that speeds up all rotors together, per rotor acceleration [J s/rad].
 
         All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. The
-        result, of the shape of `speed`, is the part of the power that is stored in the rotors and
-        returned when they slow down, divided by the acceleration. Losses that do not depend on the
-        sign of the acceleration are excluded.
+        power meant is stored in the rotors, and returned when they slow down. The result is this
+        power divided by the acceleration, and has the shape of `speed`. Losses that do not depend
+        on the sign of the acceleration are excluded.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
@@ -384,9 +383,10 @@ class SteadyFlight:
     def rotor_value(self, name: str, speed: ArrayLike, acceleration: ArrayLike = 0.0) -> FloatArray:
         """Return a quantity of one rotor at given speeds [rad/s] and accelerations [rad/s^2].
 
-        `name` is the name of an expression of the model that is indexed by rotor and time, such as
-        ``"rotors.motor_torque"``. All rotors have the same `speed` and `acceleration`, which are
-        broadcast to a common shape. The result has this shape and the unit of the expression.
+        `name` is the name of an expression of the model, such as ``"rotors.motor_torque"``. The
+        expression is indexed by rotor and time. All rotors have the same `speed` and
+        `acceleration`, which are broadcast to a common shape. The result has the common shape and
+        the unit of the expression.
         """
         speeds, accelerations = np.broadcast_arrays(
             np.asarray(speed, dtype=float), np.asarray(acceleration, dtype=float)
@@ -396,8 +396,8 @@ class SteadyFlight:
     def yaw_moment(self, odd_speed: float, even_speed: float) -> float:
         """Return the yaw moment [N m] if odd rotors turn at one speed and even rotors at another.
 
-        `odd_speed` is the constant speed of rotors 1 and 3, `even_speed` the constant speed of
-        rotors 2 and 4 [rad/s].
+        `odd_speed` is the constant speed of rotors 1 and 3 [rad/s]. `even_speed` is the constant
+        speed of rotors 2 and 4 [rad/s].
         """
         states = self._start.copy()
         states[self._rotors[::2]], states[self._rotors[1::2]] = odd_speed, even_speed
@@ -406,8 +406,8 @@ class SteadyFlight:
     def pack_under(self, power: float) -> tuple[float, float, float]:
         """Return current [A], voltage [V] and charge per second [A h/s] of the battery under load.
 
-        The load is the electrical power ``power`` [W] of all rotors together, which turn at equal
-        speed. The battery is in its initial state.
+        The load ``power`` [W] is the electrical power of all rotors together. The rotors turn at
+        equal speed. The battery is in its initial state.
         """
         states = self._start.copy()
         states[self._rotors] = self._speed_where(self.power, power)
@@ -422,9 +422,9 @@ class SteadyFlight:
     def stored_energy(self, depth: float, samples: int) -> float:
         """Return the energy of discharging a full battery to a given depth, without losses [J].
 
-        The energy is the integral of the open-circuit voltage over the charge drawn, and includes
-        what a real discharge loses inside the battery. `depth` is the depth of discharge (fraction
-        of the capacity that is drawn), and `samples` the number of quadrature points.
+        The energy is the integral of the open-circuit voltage over the charge drawn. A real
+        discharge loses a part of this energy inside the battery. `depth` is the depth of discharge,
+        the fraction of the capacity that is drawn. `samples` is the number of quadrature points.
         """
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(CHARGE_STATE)
@@ -451,8 +451,9 @@ class SteadyFlight:
     def _speed_where(self, reading: object, wanted: float) -> float:
         """Return the rotor speed [rad/s] at which an increasing quantity has a wanted value.
 
-        `reading` is a function that takes the speed, equal on all rotors, and returns the quantity,
-        such as the total thrust, which must increase with the speed. `wanted` is the value.
+        All rotors turn at the same speed. `reading` is a function that takes the speed and returns
+        the quantity, such as the total thrust. The quantity must increase with the speed. `wanted`
+        is the value.
         """
 
         def excess(speed: float) -> float:
@@ -495,10 +496,11 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    Weight and air alone cause an acceleration, which is computed from the compiled equations with
-    the rotors stopped. The required thrust is the mass times the difference between the
-    acceleration of the motion and this acceleration; it does not depend on the attitude. If the
-    drag of the air is linear in the velocity, the required thrust along each world axis is
+    With the rotors stopped, weight and air cause an acceleration, which is computed from the
+    compiled equations. This acceleration is subtracted from the acceleration of the motion. The
+    required thrust is the mass times the difference; it does not depend on the attitude.
+
+    If the drag of the air is linear in the velocity, the required thrust along each world axis is
     mass * acceleration + drag * velocity + standing(t). Here standing(t) is the thrust [N] that
     weight and wind require at zero velocity at time t.
 
@@ -512,8 +514,8 @@ class MomentumDemand:
     mass, drag : ndarray, shape (3,)
         Thrust required per acceleration [kg] and per velocity [kg/s] along each world axis.
     is_linear : bool
-        Whether the required thrust along each axis is linear in the velocity along this axis and
-        does not depend on the other velocities; otherwise `drag` has no meaning.
+        Whether the required thrust along each axis depends linearly on the velocity along this
+        axis, and not on the other velocities. If False, `drag` has no meaning.
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
@@ -551,8 +553,8 @@ class MomentumDemand:
     def _mass(self, axis: int) -> float:
         """Return the mass that the equations of motion imply along a world axis [kg].
 
-        A test thrust along this axis is divided by the acceleration that it adds. `axis` is 0, 1 or
-        2 for x, y or z.
+        It is the ratio of a test thrust along this axis to the acceleration that the test thrust
+        adds. `axis` is 0, 1 or 2 for x, y or z.
         """
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()

@@ -1,11 +1,13 @@
 """Planning strategies: ways to obtain or to improve a plan, in the order in which they are tried.
 
 Examples of a strategy are a first solve, a retry of a failed solve from another initial guess, and
-the simulation that verifies a plan. Each strategy has a condition and an action, for example "the
-last solve failed" and "solve again from the flight of shortest duration". The search for a plan
-goes through a list of strategies once, and carries out the action of each strategy whose condition
-holds at that moment. Each action returns a text on its outcome, which the user reads in
-`Plan.attempts`.
+the simulation that verifies a plan. Each strategy has a condition and an action. An example of a
+condition is "the last solve failed". An example of an action is "solve again from the flight of
+shortest duration".
+
+The search for a plan goes through a list of strategies once. It carries out the action of each
+strategy whose condition holds at that moment. Each action returns a text on its outcome, which the
+user reads in `Plan.attempts`.
 """
 
 from __future__ import annotations
@@ -28,8 +30,8 @@ Subject = TypeVar("Subject")
 class Strategy(NamedTuple, Generic[Subject]):
     """One way to obtain or to improve a plan: an action, and the condition under which to try it.
 
-    Condition and action are functions of the subject, the object that the strategies improve: for
-    example a `Candidate`, which holds the best solution of a mission so far.
+    Condition and action are functions of the subject, the object that the strategies improve. An
+    example of a subject is a `Candidate`, which holds the best solution of a mission so far.
 
     Attributes
     ----------
@@ -40,11 +42,10 @@ class Strategy(NamedTuple, Generic[Subject]):
     applies : callable
         The condition: takes the subject, and returns whether the action is to be carried out.
     act : callable
-        The action: takes the subject and changes it; returns its outcome as text, or None if the
-        action came to nothing.
+        The action: takes the subject and changes it. Returns its outcome as text, or None if it
+        came to nothing.
     repeats : int
-        Largest number of times that the action is carried out in a row, as long as the condition
-        holds.
+        Largest number of times that the action is carried out in a row, while the condition holds.
     """
 
     name: str
@@ -57,10 +58,9 @@ class Strategy(NamedTuple, Generic[Subject]):
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
     """Carry out the strategies whose conditions hold, one after the other, and record the outcomes.
 
-    The condition of each strategy is tested when its turn comes, after the actions of the
-    strategies before it. The action is repeated while the condition holds, up to the strategy's
-    number of repeats. An action that returns None, because it came to nothing, adds no line to the
-    record and is not repeated.
+    The condition of each strategy is tested after the actions of the strategies before it. The
+    action is repeated while the condition holds, up to the strategy's number of repeats. An action
+    that returns None came to nothing. It adds no line to the record and is not repeated.
 
     Parameters
     ----------
@@ -70,8 +70,8 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
         Object that the strategies improve, such as a `Candidate` (the best solution of a mission so
         far). It is changed in place.
     search : Search
-        The search for a plan. Its present stage is set, and a line "name of the strategy: outcome"
-        is added to its record for each action.
+        The search for a plan. Its stage is set. Each action adds the line "name of the strategy:
+        outcome" to its record.
     """
     for strategy in table:
         for _ in range(strategy.repeats):
@@ -131,7 +131,7 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 def _hold_pack(candidate: Candidate) -> str:
     """Plan a mission again with a limit on the battery's power, after a plan that lacks power.
 
-    `candidate` holds the plan that draws more power than the battery can give; the new plan
+    `candidate` holds the plan that draws more power than the battery can give. The new plan
     replaces it if simulation confirms the new plan to the requested accuracy. If the new solve
     fails, it is not retried from other initial guesses. The result is the status of the new solve
     as text, for the list of strategies that were tried.

@@ -2,7 +2,7 @@
 
 A solution satisfies its limits at the collocation points. Between these points its path may cut the
 corner of a zone, or go below the floor (least height above the ground). The problem is therefore
-solved again with a stricter limit: the limit is changed by the amount of the violation, so that the
+solved again with a stricter limit. The limit is changed by the amount of the violation, so that the
 path between the points just satisfies the limit of the mission.
 
 A stricter limit costs energy. The energy of the plan is therefore compared with the least energy of
@@ -89,9 +89,9 @@ class Mission(Protocol):
     def solve(self, numbers: dict[str, float], **chosen: Any) -> Solution:
         """Solve the mission with changed parameter values and further arguments of `Problem.solve`.
 
-        `Problem.solve` is the solver of the compiled problem. Its usual arguments for the mission
-        are given by the property `arguments`; `chosen` holds arguments that replace them. `numbers`
-        maps the full names of parameters to values, changed or not.
+        `Problem.solve` is the solver of the compiled problem. The property `arguments` has its
+        usual arguments for the mission. `chosen` holds arguments that replace the usual ones.
+        `numbers` maps the full names of parameters to values, changed or not.
         """
 
 
@@ -104,11 +104,10 @@ def within_limits(
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    For each plan, the problem is solved on one mesh. In comparison with the previous solve, the
-    mesh is finer at the times at which the simulated flight broke a limit, and the broken limits
-    are stricter. If the simulated flight of a plan satisfies all limits, but the stricter limits
-    cost more energy than the accuracy allows, the next solve has less strict limits and a still
-    finer mesh.
+    For each plan, the problem is solved again on one mesh. The limits that the last simulated
+    flight broke are made stricter. The mesh is made finer at the times of the violations. If a
+    flight satisfies all limits, the stricter limits may cost more energy than the accuracy allows.
+    The next solve then has less strict limits and a still finer mesh.
 
     Parameters
     ----------
@@ -121,16 +120,16 @@ def within_limits(
     figures : Figures
         Tolerances of the required accuracy.
     fly : callable
-        Takes a solution and an estimate of the least energy of the mission [J]; returns the plan
+        Takes a solution and an estimate of the least energy of the mission [J]. Returns the plan
         made from the solution, with the result of its simulation.
 
     Yields
     ------
     Plan
         Plan with the result of its simulation. Its solution is stated with the parameters of the
-        mission, not with those of the stricter limits. The iteration ends if a solve fails, if all
-        limits are satisfied at an acceptable cost, or if a violation is too large for a stricter
-        limit or concerns a limit that no parameter sets.
+        mission, not with those of the stricter limits. The iteration ends if a solve fails, or if
+        all limits are satisfied at an acceptable cost. It also ends if a stricter limit cannot
+        help: the violation is too large, or no parameter sets the limit.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
@@ -185,10 +184,10 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    The flight of the solution `relaxed`, which has the limits of the mission, breaks these limits
-    by the amounts `cuts`. The flight of the solution `strict`, whose limits are stricter by the
-    amounts `margins`, satisfies them. To first order, the least energy changes in proportion to the
-    limits. Implements docs/theory/tracking.md, eq. (10).
+    The solution `relaxed` has the limits of the mission. Its flight breaks them by the amounts
+    `cuts`. The limits of the solution `strict` are stricter by the amounts `margins`. Its flight
+    satisfies the limits of the mission. To first order, the least energy changes in proportion to
+    the limits. Implements docs/theory/tracking.md, eq. (10).
 
     `mission` solves the mission. `margins` and `cuts` map the full name of a parameter that sets a
     limit to an amount in its unit.
@@ -201,8 +200,8 @@ def _least_energy(
 def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
     """Return the violations of limits in a plan's simulated flight that exceed a tolerance.
 
-    `figures` has the tolerances of an accuracy level. The result is empty if the plan was not
-    simulated.
+    `figures` has the tolerances of an accuracy level. A plan that was not simulated gives an empty
+    result.
     """
     if plan.flown is None:
         return ()
@@ -214,13 +213,14 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 def _helps(breach: Violation, figures: Figures) -> bool:
     """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
-    `breach` is the violation, and `figures` has the tolerances that the plan must meet. A stricter
-    limit helps if a parameter of the model sets the limit, and if the violation is small. Limits on
-    the rotors' speed and thrust are an exception: stricter ones cost more energy than any accuracy
-    level tolerates. They are tried only in the search for a usable plan (a plan that simulation
-    confirms at lower accuracy than requested). In this search, `figures` is the constant `USABLE`
-    of `scenario.accuracy`, the tolerances of a usable plan. In all other cases only a finer mesh
-    helps.
+    `breach` is the violation. `figures` has the tolerances that the plan must meet. A stricter
+    limit helps if the violation is small and a parameter of the model sets the limit. Otherwise
+    only a finer mesh helps.
+
+    Limits on the rotors' speed and thrust are an exception. Stricter ones cost more energy than any
+    accuracy level tolerates. They are tried only for a usable plan: a plan that simulation confirms
+    at lower accuracy than requested. Its tolerances are the constant `USABLE` of
+    `scenario.accuracy`.
     """
     name = breach.name.partition("[")[0]
     is_affordable = name not in _DEAR or figures is USABLE
@@ -246,8 +246,8 @@ def _by_parameter(
     Returns
     -------
     dict
-        Full name of the parameter that sets the limit -> (violation, change of the parameter), both
-        in the unit of the parameter. The violation is positive, the change may have either sign.
+        Full name of the parameter that sets the limit -> (violation, change of the parameter). Both
+        have the unit of the parameter. The violation is positive; the change may have either sign.
     """
     found = dict[str, tuple[float, float]]()
     for breach in broken:
@@ -263,12 +263,11 @@ def _by_parameter(
 
 
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
-    """Return parameter values to which changes were added, for a solve with stricter limits.
+    """Return parameter values with changes added, for a solve with stricter limits.
 
-    No change reduces a parameter by more than half. The floor is not raised above start or goal,
-    and the ceiling is not lowered below them, because the mission would then be infeasible.
-    `numbers` maps full names of parameters to values, and `changes` maps some of these names to
-    amounts to add.
+    `numbers` maps full names of parameters to values. `changes` maps some of these names to amounts
+    to add. No change reduces a parameter by more than half. The floor stays below start and goal,
+    and the ceiling above them, because the mission would otherwise be infeasible.
     """
     found = dict(numbers)
     for name, change in changes.items():
@@ -284,7 +283,7 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
 def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
     """Return the mesh of a solution, refined at the times of violations of keep-out zones.
 
-    The violations are those of the simulated flight of the plan that was made from the solution.
+    The violations are those of the simulated flight of the plan.
 
     Parameters
     ----------
@@ -301,11 +300,12 @@ def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
 def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
     """Return the mesh of a solution with shorter elements during given windows of time.
 
-    A path may cut the corner of a zone between two collocation points. The depth of the cut is then
-    proportional to the distance between the points. Each element, or the part of it that is inside
-    a window, is divided so that its parts are at most 1 / `denser` of the element's length.
-    Elements outside the windows are unchanged. `windows` has the start and the end time of each
-    window [s].
+    Each element inside a window is divided into parts of at most 1 / `denser` of its length. If an
+    element is only partly inside a window, the part inside is divided. Elements outside the windows
+    are unchanged. `windows` has the start and the end time of each window [s].
+
+    A path may cut the corner of a zone between two collocation points. The depth of the cut is
+    proportional to the distance between the points.
     """
     mesh, cuts = solution.mesh, list[float]()
     for window in windows:
@@ -329,9 +329,9 @@ def _windows(
 ) -> list[tuple[float, float]]:
     """Return the periods in which the mesh is refined, because a flight cuts through a zone.
 
-    Each period is the time during which the flight violates the limit on the distance from a zone,
-    and an equally long time before and after it, because the optimum on a finer mesh may pass the
-    zone a little earlier or later.
+    Each period contains the time during which the flight violates the limit on the distance from a
+    zone. It begins earlier and ends later by the length of this time, because the optimum on a
+    finer mesh may pass the zone a little earlier or later.
 
     Parameters
     ----------
@@ -341,8 +341,8 @@ def _windows(
         Tolerances of the required accuracy.
     numbers : mapping
         Full name of a parameter that sets a limit -> its value. The flight is compared with the
-        limits that these values set. All parameters that are not in the mapping have the value of
-        the mission. An empty mapping thus means the mission's own limits.
+        limits that these values set. Parameters that are not in the mapping have their values in
+        the mission.
 
     Returns
     -------

@@ -3,7 +3,7 @@
 A leg is the flight from one place of the mission to another, from hover to hover. The legs between
 neighbouring places and the legs of the cheapest orders are solved for their energies. The energies
 of all other legs are predicted from the solved ones, see docs/theory/orders.md, eq. (1). Then the
-whole mission is solved for the best few orders.
+whole mission is solved for the few cheapest orders.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class LegTable:
     scenario : Scenario
         The mission.
     solve : callable
-        Solves for a leg: takes a scenario without waypoints, the mesh, and the shortest route round
-        the zones, or None if no zone is in the way; returns a `Solution`.
+        Solves for a leg and returns a `Solution`. Takes a scenario without waypoints, a mesh, and
+        the shortest route round the zones (None if no zone is in the way).
     """
 
     def __init__(self, scenario: Scenario, solve: LegSolver) -> None:
@@ -103,7 +103,7 @@ class LegTable:
     def legs(self) -> tuple[_Leg, ...]:
         """Legs (flights between two places) that an order may use and that zones leave open.
 
-        Each leg is a pair of indices of places; the start has index 0, the goal the last index. The
+        Each leg is a pair of indices of places. The start has index 0, the goal the last index. The
         result is empty if zones leave no way to visit all places.
         """
         return () if isinf(self._usual) else tuple(self._ways)
@@ -125,16 +125,15 @@ class LegTable:
         """Return the cost of each leg [J]: solved, or an optimistic prediction.
 
         A leg is the flight from one place to another, from hover to hover. Its cost is the energy
-        plus the price of time times the duration. The prediction for a leg that was not tried is
-        the value of the regression of docs/theory/orders.md, eq. (1), minus twice the
-        cross-validated root mean square error of the regression. As long as no leg is solved, the
-        lengths of the legs [m] serve as costs.
+        plus the price of time times the duration. The cost of a leg that was not tried is predicted
+        by the regression of docs/theory/orders.md, eq. (1). Twice the cross-validated root mean
+        square error of the regression is subtracted from the prediction. As long as no leg is
+        solved, the lengths of the legs [m] serve as costs.
 
-        A leg whose solve failed has the value of the regression, without subtraction. Its cost is
-        not infinite, because an order may still use the leg. An example is a mission with a fixed
-        duration, of which each leg receives a part in proportion to its length. This part may be
-        too short for a flight from hover to hover, but long enough for a flight that does not stop
-        at the ends of the leg.
+        For a leg whose solve failed, nothing is subtracted. The cost of such a leg is not infinite,
+        because an order may still use the leg. For example, each leg of a mission of fixed duration
+        receives a part of the duration in proportion to its length. This part may be too short for
+        a flight from hover to hover, but long enough without the stops at the ends of the leg.
 
         Returns
         -------
@@ -166,8 +165,8 @@ class LegTable:
     def solve_for(self, legs: Iterable[_Leg]) -> bool:
         """Solve the given legs that were not tried before; return whether there were such legs.
 
-        A leg is the flight between two places of the mission from hover to hover, given by the
-        indices of the two places.
+        A leg is the flight between two places of the mission, from hover to hover. It is given by
+        the indices of the two places.
         """
         missing = [leg for leg in dict.fromkeys(legs) if leg not in self._known]
         missing = [leg for leg in missing if leg not in self._failed]
@@ -193,8 +192,8 @@ class LegTable:
         """Return the regressors that predict the energy of a leg (flight between two places).
 
         `leg` is the pair of indices of the two places. The regressors are functions of length,
-        direction, height and detour of the leg; the prediction is a linear combination of them. See
-        docs/theory/orders.md, eq. (1).
+        direction, height and detour of the leg. The prediction is a linear combination of the
+        regressors, see docs/theory/orders.md, eq. (1).
         """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
@@ -216,28 +215,27 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of the waypoints of a mission, by the costs of their legs.
 
-    A leg is the flight between two places, from hover to hover. The legs of the cheapest orders are
-    solved, which changes their costs, until all legs of the cheapest orders have been solved. The
-    costs of unsolved legs are optimistic predictions, so that no unsolved leg could then lead to a
-    cheaper order. With more waypoints than the constant `orders.MOST_EXACT`, the search also ends
-    after a fixed number of rounds, in each of which the legs of the present cheapest orders are
-    solved.
+    A leg is the flight between two places, from hover to hover. In each round, the unsolved legs of
+    the cheapest orders are solved, and the orders are ranked again. The search ends when all legs
+    of the cheapest orders have been solved. No unsolved leg can then lead to a cheaper order,
+    because the costs of unsolved legs are optimistic predictions. With more waypoints than the
+    constant `orders.MOST_EXACT`, the number of rounds is limited.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     solve : callable
-        Solves for a leg: takes a scenario without waypoints, a mesh, and the shortest route round
-        the zones, or None if no zone is in the way; returns a `Solution`.
+        Solves for a leg and returns a `Solution`. Takes a scenario without waypoints, a mesh, and
+        the shortest route round the zones (None if no zone is in the way).
     count : int, optional
         Number of orders to return.
 
     Returns
     -------
     tuple of OrderSearch
-        The orders found, the cheapest first. If zones leave no way to visit all places, only the
-        order in which the scenario lists the waypoints.
+        The orders found, the cheapest first. If zones leave no way to visit all places, the result
+        has only the order in which the scenario lists the waypoints.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -273,7 +271,7 @@ def find_orders(
 def legs_expected(waypoints: int) -> int:
     """Return the least number of legs that a search for the order of waypoints will solve.
 
-    A leg is the flight between two places; `waypoints` is the number of waypoints. The result
+    A leg is the flight between two places. `waypoints` is the number of waypoints. The result
     serves to estimate the cost of a search in advance.
     """
     every = waypoints * (waypoints + 1)
@@ -288,8 +286,9 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    These are the legs between nearest places, the legs of the shortest order, and legs of many
-    different lengths. `lengths` has the lengths of all legs [m], infinite without a route.
+    The result has the legs between nearest places, the legs of the shortest order, and legs of many
+    different lengths. `lengths` has the lengths of all legs [m], infinite without a route, shape
+    (n_places, n_places).
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -302,7 +301,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
     """Return the shortest route for each leg that an order of the waypoints may use.
 
-    A leg is a pair of indices of places; the start has index 0, the waypoints follow, and the goal
+    A leg is a pair of indices of places. The start has index 0, the waypoints follow, and the goal
     is last. Legs for which zones block every route are left out.
     """
     places, ways = scenario.mission.positions, {}
@@ -325,7 +324,7 @@ class BestOrder:
     scenario : Scenario
         The mission, whose waypoints may be visited in any order.
     search : Search
-        Progress callback of all solves; a solve is stopped when the time limit is reached.
+        Progress callback of all solves, which stops a solve when the time limit is reached.
     """
 
     def __init__(self, problems: Problems, scenario: Scenario, search: Search) -> None:
@@ -341,10 +340,10 @@ class BestOrder:
         return find_orders(self._scenario.as_forecast(), self._leg)
 
     def has_time(self) -> bool:
-        """Return whether to solve the mission for another order of the waypoints.
+        """Return whether there is time to solve the mission for another order of the waypoints.
 
-        This is the case if it has not been solved for any order yet, or if the time limit of the
-        search has not been reached.
+        There is time until the time limit of the search is reached. For the first order, the result
+        is always True.
         """
         return not self._flown or not self._search.deadline.is_over
 
