@@ -202,7 +202,7 @@ class _TrapezoidProbe:
 
     The rule of a `pyomo.dae.Integral` sums trapezoids between the times in the set. With this
     stand-in as its block, the rule sums a single trapezoid, whose two ends are the same time. The
-    difference of these two times is defined as 1, so that the area of the trapezoid is the
+    difference of these two ends is defined as 1. The area of the trapezoid is therefore the
     integrand at that time. The function `integrand` uses the stand-in to obtain the integrand.
     """
 
@@ -212,11 +212,12 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
-        """Return the component that an integral's rule looks up in its block by the name `name`.
+        """Return the component of the block that has the name `name`.
 
-        The rule of an integral looks up the continuous set. If `name` is the name of this set, the
-        result is a list of two equal times, so that the rule sums a single trapezoid. For any other
-        name, the result is the component of this name in the Pyomo block that this object replaces.
+        The rule of an integral calls this method to look up the continuous set. If `name` is the
+        name of this set, the result is a list of two equal times. The rule then sums a single
+        trapezoid. For any other name, the result is the component of that name in the real Pyomo
+        block.
         """
         if name == self._set_name:
             return [self._symbol, self._symbol]
@@ -236,10 +237,10 @@ def time_parameter() -> Any:
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return the integrand of a `pyomo.dae.Integral` at a time, as a Pyomo expression.
 
-    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. Here
-    the rule is called for a single trapezoid, both ends of which are `symbol`. The class of
-    `symbol` defines the difference of the two ends as 1. The area of the trapezoid, which the rule
-    returns, is therefore the integrand at that time.
+    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. This
+    function calls the rule for a single trapezoid. Both ends of the trapezoid are `symbol`, and
+    their difference is defined as 1. The rule returns the area of the trapezoid, which is therefore
+    the integrand at that time.
 
     Parameters
     ----------
@@ -248,9 +249,9 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
         The time. A `TimeSymbol` is a symbol that stands for any time. An `Instant` is a number, the
-        time at which the integrand is wanted. Variables in the integrand are always the members at
-        the template time (the added interior time at which equations are read), because both
-        classes equal the template time when they are used as an index.
+        time at which the integrand is wanted. As an index, both equal the template time (the added
+        interior time at which equations are read). Variables in the integrand are therefore always
+        the members at the template time.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -292,8 +293,8 @@ def indexed_name(component: str, index: tuple[Any, ...]) -> str:
 class AddressBook:
     """Splitter of the indices of Pyomo components into time and the other indices.
 
-    In a model with ``Var(rotor, time)``, it splits the index (1, 0.5) into (1,) and the time 0.5.
-    The result is an `Address`.
+    For example, the index (1, 0.5) of a ``Var(rotor, time)`` is split into (1,) and the time 0.5.
+    The result of a split is an `Address`.
 
     Parameters
     ----------
@@ -362,7 +363,7 @@ class AddressBook:
     def join(self, component: Any, index: tuple[Any, ...], time: Any) -> Any:
         """Return a component's full index at a time, the inverse of `split`.
 
-        `index` is the index without the time, (i,) for ``x[i, t]``. The time is ignored if the
+        `index` is the index without the time: (i,) for ``x[i, t]``. `time` is ignored if the
         component is not indexed by time.
         """
         position = self.time_position(component)
@@ -374,9 +375,10 @@ class AddressBook:
 
 @dataclass(frozen=True, kw_only=True)
 class Slot:
-    """Scalar variable or parameter of the model, over time or static, with its CasADi symbol.
+    """Scalar variable or parameter of the model, with its CasADi symbol.
 
-    A slot is one member of a Pyomo component for all times, for example ``rotors.omega[1]``.
+    It is one member of a Pyomo component for all times, for example ``rotors.omega[1]``, or a
+    member of a component without time.
 
     Attributes
     ----------
@@ -385,7 +387,7 @@ class Slot:
     component : str
         Full name of the Pyomo component.
     index : tuple
-        Index without the time, () if time is the only index or there is none.
+        Index without the time: (i,) for ``x[i, t]``, () for ``x[t]`` and for ``x``.
     symbol : casadi.SX
     lower, upper : casadi.SX
         Bounds as expressions of the parameters, infinite unless given.
@@ -405,7 +407,7 @@ class Slot:
     rate: Any = None
 
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
-        """Return the variable with its magnitude (for scaling) from a mapping of magnitudes.
+        """Return a copy of the variable, with its magnitude for scaling from a mapping.
 
         `magnitudes` maps names to magnitudes. The mapping is searched for the name of the variable,
         then for the name of its component. The magnitude is None if the mapping has neither name.
@@ -417,9 +419,9 @@ class Slot:
 class PathEquation:
     """Constraint lower <= expression <= upper that is imposed at every collocation point.
 
-    The attributes `lower`, `expression` and `upper` are CasADi expressions of the variables and the
-    data of a collocation point. The data are the fraction of the horizon and the parameters.
-    `is_equality` tells whether the constraint is an equality.
+    `lower`, `expression` and `upper` are CasADi expressions. They contain the variables at a
+    collocation point, the fraction of the horizon, and the parameters. `is_equality` tells whether
+    the constraint is an equality.
     """
 
     name: str
@@ -456,8 +458,8 @@ class PointSymbol:
 class PointCondition:
     """Constraint among values at declared times, static variables and integrals.
 
-    The constraint has the form lower <= expression <= upper. The three attributes are CasADi
-    expressions; a declared time is a member of the continuous set.
+    A declared time is a member of the continuous set. The constraint has the form lower <=
+    expression <= upper. `lower`, `expression` and `upper` are CasADi expressions.
     """
 
     name: str
@@ -471,7 +473,7 @@ class Integral:
     """Integral over the horizon: its symbol in constraints and objective, and its integrand.
 
     The integrand is a CasADi expression, to be integrated over the fraction of the horizon from 0
-    to 1. It already contains the factor d (physical time) / d (fraction of the horizon).
+    to 1. It contains the factor d (physical time) / d (fraction of the horizon).
     """
 
     name: str
@@ -495,13 +497,13 @@ class Declarations:
     parameters, signals : tuple of Slot
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
-        Symbols for other quantities that depend on time but have no CasADi expression of time.
-        Python evaluates these quantities at each collocation point. They belong to rules that
-        branch on time or look up numbers by time, and to horizons that free times divide into
+        Symbols for quantities that depend on time but have no CasADi expression of time. Python
+        evaluates these quantities at each collocation point. They arise from rules that branch on
+        time or look up numbers by time. They also arise if free times divide the horizon into
         phases.
     clock : PhaseTimes
-        Physical times of start and end of the horizon, and of the free times (times that the solve
-        determines), in CasADi symbols.
+        Physical times in CasADi symbols: start and end of the horizon, and the free times. A free
+        time is a time that the solve determines.
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
@@ -512,11 +514,11 @@ class Declarations:
     objective : casadi.SX
     maximise : bool
     fixed : tuple of (str, float)
-        States that a user fixed at a declared time, as (name, fraction of the horizon); the value
-        is read when the problem is solved.
-    outputs, output_equations, output_starts
-        Output states (states on which neither the objective nor other equations depend), with their
-        equations and initial conditions.
+        States that a user fixed at a declared time, as (name, fraction of the horizon). The value
+        of the state is read when the problem is solved.
+    outputs, output_equations, output_starts : tuple
+        Output states with their equations and initial conditions. Neither the objective nor other
+        equations depend on an output state.
     objective_name : str
         "" if there is no objective.
     has_horizon : bool
@@ -566,9 +568,9 @@ class Declarations:
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of the data of a collocation point, in the order that compiled functions expect.
 
-        They are the fraction of the horizon, the parameters over time (`signals`), the other
-        quantities that depend on time but have no CasADi expression of time (`scheduled`), and the
-        parameters without time (`parameters`).
+        The order is: the fraction of the horizon, the parameters over time (`signals`), other
+        quantities without a CasADi expression of time (`scheduled`), and the parameters without
+        time (`parameters`).
         """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
@@ -618,10 +620,10 @@ class SymbolTable:
         self.clock = self._clock(free)
 
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
-        """Return start, end and free times of the horizon in CasADi symbols, as `PhaseTimes`.
+        """Return start, end and free times of the horizon in CasADi symbols.
 
-        `free` maps members of the continuous set (declared times) to static variables (variables
-        without time) that give the physical times of these members.
+        A free time is a time that the solve determines. `free` maps a member of the continuous set
+        to the static variable (variable without time) that gives its physical time.
         """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
@@ -643,12 +645,11 @@ class SymbolTable:
         )
 
     def _horizon(self, name: str, time: float) -> Any:
-        """Return the symbol of the parameter for the physical time at start or end of the horizon.
+        """Return the symbol for the physical time at start or end of the horizon.
 
-        The parameter is new, and is added to the parameters of the model. `name` is the name of the
-        parameter, and `time` is the first or last member of the continuous set. In a model without
-        a continuous set, `time` is 0 for the start and 1 for the end. Such a model needs no
-        parameter, and the result is the number `time`.
+        The symbol belongs to a new parameter of the model, named `name`. `time` is the first or
+        last member of the continuous set. A model without a continuous set needs no parameter. Its
+        `time` is 0 for the start and 1 for the end, and the result is this number.
         """
         if self._copy.time is None:
             return casadi.SX(time)
@@ -672,12 +673,11 @@ class SymbolTable:
         return self._signal(data, address)
 
     def _refuse_other_horizon(self, data: Any) -> None:
-        """Raise an error if the Pyomo data object `data` is indexed by the time of another horizon.
+        """Raise an error if a variable or parameter is indexed by the time of another horizon.
 
         A model may have several horizons, each with a continuous set. This table of symbols belongs
-        to one of them. `data` is a variable or parameter that an expression of this horizon
-        contains; such expressions must not contain variables or parameters over the time of another
-        horizon.
+        to one of them. `data` is the variable or parameter, a Pyomo data object. An expression of
+        this horizon contains it, and may not refer to the time of another horizon.
         """
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
@@ -689,9 +689,16 @@ class SymbolTable:
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
         """Return the symbol of a variable or parameter without time, made at first use.
 
-        `data` is the variable or parameter, a Pyomo data object, and `name` the name under which it
-        is stored. `table` is the dictionary, by name, of the `Slot` objects with the symbols.
-        `more` are further attributes of a new `Slot`, such as bounds.
+        Parameters
+        ----------
+        table : dict
+            Name -> `Slot` with the symbol; a new `Slot` is added to it.
+        data : Pyomo data object
+            The variable or parameter.
+        name : str
+            Key in `table`.
+        **more
+            Further attributes of a new `Slot`, such as bounds.
         """
         if name not in table:
             address = self._addresses.of(data)
@@ -707,8 +714,8 @@ class SymbolTable:
     def fixed_value(self, data: Any) -> Any:
         """Return the symbol of a new parameter that holds the value of a fixed variable.
 
-        The value can then change between solves without another compilation. `data` is the
-        variable, a Pyomo data object.
+        With a parameter, the value can change between solves without another compilation. `data` is
+        the variable, a Pyomo data object.
         """
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
@@ -722,7 +729,7 @@ class SymbolTable:
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
 
     def _is_clock(self, data: Any) -> bool:
-        """Return whether a parameter over time is time itself, because its rule returns its index.
+        """Return whether a parameter over time is time itself: its rule returns its index.
 
         An example is ``Param(m.t, rule=lambda m, t: t)``. `data` is a member of the parameter, a
         Pyomo data object.
@@ -744,11 +751,13 @@ class SymbolTable:
         return said is symbol
 
     def _signal(self, data: Any, address: Any) -> Any:
-        """Return the symbol of a parameter over time, or of its value at a declared time.
+        """Return the symbol of a parameter over time, or of its value at one time.
 
-        A declared time is a member of the continuous set. For a parameter that is time itself, the
-        result is the expression of physical time. `data` is the Pyomo data object, and `address`
-        its component, index and time.
+        `data` is a member of the parameter, a Pyomo data object. `address` has the member's
+        component, index and time. A member at the template time (the added interior time at which
+        equations are read) stands for the parameter as a function of time. Any other member stands
+        for the value at its time. For a parameter that is time itself, the result is the expression
+        of physical time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)
@@ -768,22 +777,21 @@ class SymbolTable:
     def _physical_time(self, time: float) -> Any:
         """Return the physical time that corresponds to a time in an index, as a CasADi expression.
 
-        `time` is the time in the index. If it is the template time (the added interior time at
-        which equations are read), the result is an expression that holds at any time. If it is a
-        declared time (a member of the continuous set that the user gave it), the result is the
-        physical time to which the declared time corresponds.
+        `time` is the time in the index. The template time (the added interior time at which
+        equations are read) gives an expression that holds at any time. A declared time (a member of
+        the continuous set that the user gave it) gives the physical time at that member.
         """
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
         """Return a variable over time, or its time derivative, in CasADi symbols.
 
-        `data` is a member of the variable or of the derivative, a Pyomo data object, and `address`
-        has its component, index and time. At the template time (the added interior time at which
-        equations are read), the result stands for the variable or derivative as a function of time.
-        At a declared time (a member of the continuous set that the user gave it), the result stands
-        for the value at that time. An algebraic variable that is fixed at all declared times
-        becomes a parameter, whose symbol is returned.
+        `data` is a member of the variable or derivative, a Pyomo data object. `address` has the
+        member's component, index and time. A member at the template time (the added interior time
+        at which equations are read) stands for the variable or derivative as a function of time. A
+        member at a declared time (a time that the user gave) stands for the value at that time. An
+        algebraic variable that is fixed at all declared times becomes a parameter. The result is
+        then the symbol of the parameter.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar
@@ -804,12 +812,11 @@ class SymbolTable:
         return symbol / self.clock.span_at(address.time) if is_rate else symbol
 
     def _slot(self, variable: Any, address: Any) -> Slot | None:
-        """Return the object with symbol and bounds of a variable over time, made at first use.
+        """Return the `Slot` (symbol and bounds) of a variable over time, made at first use.
 
-        The object is a `Slot`. The result is None for an algebraic variable that is fixed at all
-        declared times (members of the continuous set), because such a variable becomes a parameter.
         `variable` is the Pyomo component, and `address` has the index of its member without the
-        time.
+        time. An algebraic variable that is fixed at all declared times (members of the continuous
+        set) becomes a parameter. The result is then None.
         """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):

@@ -101,11 +101,11 @@ class Spline:
     def _local(self) -> LocalSpline:
         """The same spline as a `LocalSpline`, which is fast to evaluate.
 
-        A `LocalSpline` rounds the arguments to a point that differs from them by at most 4e-12 of
-        the smallest grid step. It evaluates the Taylor polynomial of degree two about this point.
-        The error of the polynomial is negligible over so small a distance. For arguments beyond the
-        data, where the spline is linear, the polynomial is exact. The cost of an evaluation does
-        not depend on the number of data points.
+        A `LocalSpline` moves the arguments to a nearby point, at a distance of at most 4e-12 of the
+        smallest grid step. It evaluates the Taylor polynomial of degree two about this point. The
+        error of the polynomial is negligible over so small a distance. Beyond the data the spline
+        is linear, and the polynomial is exact. The cost of an evaluation does not depend on the
+        number of data points.
         """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
@@ -127,12 +127,11 @@ def _extended_linearly(
 ) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    A knot of multiplicity degree - 1 at the first and last data point keeps value and slope
-    continuous there, and permits the linear continuation. The spline is determined by its values at
-    the Greville abscissae: each is the mean of `degree` successive knots. At abscissae inside the
-    range of the data, the value is taken from a spline that interpolates the data. At abscissae
-    outside the range, the value is taken from the tangent of the interpolating spline at the
-    nearest data point.
+    The first and the last data point are knots of multiplicity degree - 1. At these knots value and
+    slope are continuous, and the linear continuation is possible. The spline is determined by its
+    values at the Greville abscissae; each abscissa is the mean of `degree` successive knots. Inside
+    the range of the data, the values are taken from a spline that interpolates the data. Outside
+    the range, the values are taken from the tangent of this spline at the nearest data point.
 
     Parameters
     ----------
@@ -169,16 +168,16 @@ def _extended_linearly(
 class Table(PythonCallbackFunction):
     """Interpolation table: values on a grid as a smooth function, for use in a Pyomo model.
 
-    After ``m.density = Table(heights, densities)``, the expression ``m.density(m.h[t])`` in a rule
-    is the cubic not-a-knot spline through the values, twice continuously differentiable. Two arrays
-    of points and a matrix of values make a function of two arguments, and so on.
+    With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. This
+    is the cubic not-a-knot spline through the values, which is twice continuously differentiable.
+    Two arrays of points and a matrix of values make a function of two arguments, and so on.
 
     Parameters
     ----------
     *grid : array_like
-        An array of grid points for each argument, followed by the array of values as the last item.
-        Each array of grid points has at least four points, which rise. The array of values has one
-        axis per argument.
+        One array of grid points for each argument, then the array of values. Each array of grid
+        points has at least four points, in ascending order. The array of values has one axis per
+        argument.
     units, arg_units : optional
         Pyomo unit of the values, and tuple of the units of the arguments; dimensionless by default.
 
@@ -214,9 +213,9 @@ class Table(PythonCallbackFunction):
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
         """Return the table's value, gradient and Hessian at given arguments, as Pyomo requires.
 
-        `arguments` are numbers, one for each argument of the table. Pyomo also passes the order of
-        the derivatives that it needs, and which arguments are constant; both are ignored. The
-        Hessian is returned as its upper triangle, column after column.
+        `arguments` are numbers, one for each argument of the table. The Hessian is returned as its
+        upper triangle, column after column. Pyomo also passes the required order of derivatives and
+        the constant arguments. Both are ignored.
         """
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
@@ -226,7 +225,7 @@ class Table(PythonCallbackFunction):
 def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
     """Raise an error for grid points or values that do not define an interpolation table.
 
-    `points` has the grid points of each argument, which must rise, and `values` the values of the
+    `points` has the grid points of each argument, which must rise. `values` has the values of the
     table at these points, with one array axis per argument.
     """
     for axis, at in enumerate(points, start=1):
@@ -258,11 +257,12 @@ class TableUse:
     Attributes
     ----------
     name : str
-        Text for messages that names the table, the component with the equation, and the argument.
+        Text for messages: names of the table, of the component with the equation, and of the
+        argument.
     expression : casadi.SX
         The argument.
     lower, upper : float
-        Range outside which the table has no data.
+        First and last value of the argument for which the table has data.
     """
 
     name: str
@@ -319,9 +319,9 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    The function is called with CasADi symbols, and returns an expression of these symbols. The
-    values of the expression are compared with the values of the function at a few random points. If
-    the call fails or any of the values differ, the result is None.
+    The function is called with CasADi symbols, and returns an expression of these symbols. At a few
+    random points, the values of the expression are compared with the values of the function. The
+    result is None if the call fails or any of the values differ.
 
     Parameters
     ----------
@@ -330,7 +330,8 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
     inputs : sequence of casadi.SX
         Arguments of the call in CasADi.
     stated : sequence
-        The same arguments as Pyomo expressions, whose bounds give the range of the random points.
+        Arguments of the call as Pyomo expressions. Their bounds give the range of the random
+        points.
     """
     if function._fcn is None:  # noqa: SLF001
         return None
@@ -364,11 +365,11 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return the interval of an argument in which a function is compared with its symbolic form.
+    """Return the interval of an argument in which a function is tested with numbers.
 
-    The symbolic form is the CasADi expression that a Python function returns when it is called with
-    symbols. `argument` is the argument of the function, a Pyomo expression. The result is the
-    interval between its bounds, or (0.1, 0.9) if a bound is missing.
+    `argument` is the argument of the function, a Pyomo expression. The result is the interval
+    between its bounds, or (0.1, 0.9) if a bound is missing. In this interval, the values of the
+    function are compared with its CasADi expression.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
@@ -378,8 +379,15 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
     The number of samples is increased until the spline reproduces the function to a relative
-    accuracy of 1e-7. `stated` are the arguments of the call as Pyomo expressions; the samples lie
-    between their bounds. `owner` is the name of the component that contains the call.
+    accuracy of 1e-7.
+
+    Parameters
+    ----------
+    function : Pyomo ExternalFunction
+    stated : sequence
+        Arguments of the call as Pyomo expressions. The samples lie between their bounds.
+    owner : str
+        Name of the component that contains the call, for messages.
 
     Raises
     ------
@@ -447,9 +455,17 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
     """Return the largest relative difference between a function and its spline.
 
-    `call` is the function, which takes one number per argument. `spline` is the spline through
-    samples of the function. The two are compared at random points in the range of the spline. The
-    difference is divided by `size`, the magnitude of the function, unless `size` is 0.
+    The function and its spline are compared at random points in the range of the spline.
+
+    Parameters
+    ----------
+    call : callable
+        The function, which takes one number per argument.
+    spline : Spline
+        Spline through samples of the function.
+    size : float
+        Magnitude of the function, by which the difference is divided. If it is 0, the difference is
+        not divided.
     """
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)

@@ -44,15 +44,16 @@ class Instance:
     horizon : (float, float)
         Start and end of the horizon, as physical times.
     fixed : dict
-        Values of variables fixed at declared times (members of the continuous set), by (name,
-        fraction of the horizon).
+        (Variable name, fraction of the horizon) -> value, for variables fixed at declared times
+        (members of the continuous set).
     overrides : mapping
-        Parameter values from the caller by full name; functions of time for parameters over time.
+        Full name -> parameter value from the caller. The value of a parameter over time may be a
+        function of time.
     jumps : tuple of float
         Fractions of the horizon at which a time-dependent parameter may jump.
     left_out : frozenset of str
-        Names of conditions (constraints at declared times) that are not imposed, because they
-        follow from other equations.
+        Names of constraints at declared times that are not imposed. They follow from other
+        equations.
     """
 
     parameters: FloatArray
@@ -63,19 +64,20 @@ class Instance:
     left_out: frozenset[str] = frozenset()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the attributes that a pickle keeps, with functions of time as polynomials.
+        """Return the attributes that a pickle keeps.
 
-        Functions of time that the caller gave as parameter values become piecewise polynomials.
+        A parameter value that is a function of time becomes piecewise polynomials, because a Python
+        function may not be picklable.
         """
         return vars(self) | {
             "overrides": {n: self._picklable(n, v) for n, v in self.overrides.items()}
         }
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
-        """Return the instance itself.
+        """Return this object itself, since it is immutable.
 
-        The instance is immutable, and the functions of time that it contains belong to the caller
-        and are not copied. `memo` is Python's record of copied objects, which is not needed.
+        The functions of time in it belong to the caller, and are not copied. `memo` is Python's
+        record of copied objects, which is not needed.
         """
         return self
 
@@ -85,8 +87,8 @@ class Instance:
         """Return a parameter's value in a form that can be pickled.
 
         `name` is the name of the parameter, and `given` its value from the caller. A function of
-        time becomes piecewise polynomials over the horizon. A number, and a function that can be
-        pickled already (`Interpolant` or `Steps`), is returned unchanged.
+        time becomes piecewise polynomials over the horizon. Numbers are returned unchanged, and so
+        are `Interpolant` and `Steps` objects, which can be pickled already.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
@@ -133,8 +135,8 @@ class ModelValues:
         overrides : mapping, optional
             Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon, which are parameters unless static variables replace them;
-            by default the ends of the continuous set.
+            Start and end of the horizon; by default the ends of the continuous set. Both are
+            parameters of the model, unless static variables take their place.
 
         Raises
         ------
@@ -149,13 +151,13 @@ class ModelValues:
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
         """Return the parameter values that the caller gives, with full names as keys.
 
-        A key of `overrides` is the full name of a parameter, or the Pyomo parameter itself, which
-        the result replaces by its name.
+        A key of `overrides` is the full name of a parameter, or the Pyomo parameter itself. In the
+        result, all keys are names.
 
         Raises
         ------
         TranscriptionError
-            If a name is no component of the model, or a function of time is given although the
+            If a name is no component of the model. Also if a value is a function of time and the
             model has free times (times that the solve determines).
         """
         named = {
@@ -179,11 +181,18 @@ class ModelValues:
         return named
 
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
-        """Return the value of one parameter without time.
+        """Return the value of one parameter without time, from the first source that has it.
 
-        `slot` is the parameter. The value comes from `ends` (start and end of the horizon, by
-        parameter name), from `named` (values given by the caller, by full name), or from the model,
-        in this order.
+        The sources are `ends`, `named` and the model, in this order.
+
+        Parameters
+        ----------
+        slot : Slot
+            The parameter.
+        named : dict
+            Full name -> value given by the caller.
+        ends : dict
+            Parameter name -> start or end of the horizon.
         """
         if slot.name in ends:
             return ends[slot.name]
@@ -195,16 +204,16 @@ class ModelValues:
         """Return the time-dependent parameters as a function of the fraction of the horizon.
 
         The function returns a list of numbers. First are the values of the parameters over time.
-        Then follow the values of other quantities that depend on time but have no CasADi expression
-        of time, such as the numbers in the branch that a rule takes at this time. `instance` holds
-        the horizon, and the parameter values that the caller gives.
+        Then follow the values of other quantities without a CasADi expression of time. An example
+        is the numbers in the branch that a rule takes at the given time. `instance` holds the
+        horizon, and the parameter values that the caller gives.
 
         Raises
         ------
         TranscriptionError
             If a parameter over time has neither a rule nor a value from the caller. The returned
-            function raises the same exception if a rule that branches on time returns an expression
-            that differs, in more than its numbers, from all expressions that were compiled.
+            function raises the error if a rule that branches on time returns an expression that was
+            not compiled. Expressions that differ only in their numbers count as one expression.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -231,10 +240,10 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
-        These are the declared times (members of the continuous set), and the times at which
-        bisection finds a jump of a rule's result or of a parameter. Parameters given as `Steps`
+        They are the declared times (members of the continuous set), and the times at which
+        bisection finds a jump of a parameter or of a rule's result. Parameters given as `Steps`
         (piecewise constant) are not searched. `overrides` has the parameter values that the caller
-        gives; `horizon` is start and end of the horizon, by default the ends of the continuous set.
+        gives. `horizon` is start and end of the horizon, by default the ends of the continuous set.
         """
         if not self._declared.has_signals:
             return ()
@@ -253,10 +262,10 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        If any time is free (determined by the solve), the range is the range of the continuous set,
-        because a rule refers to times of this set. Otherwise the range is the horizon of the solve,
-        `horizon`. The widest range that was requested so far is recorded: a pickle of the model
-        stores functions of time over this range.
+        The range is the horizon of the solve, `horizon`. If any time is free (determined by the
+        solve), it is instead the range of the continuous set, because a rule then refers to members
+        of this set. The widest range that was requested so far is recorded. A pickle of the model
+        stores functions of time over the widest range.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
@@ -266,8 +275,8 @@ class ModelValues:
         """Return each parameter over time as a function of time.
 
         The functions have the order in which the compiled equations expect the parameters.
-        `overrides` has the parameter values that the caller gives, which take precedence over the
-        rules in the model.
+        `overrides` has the parameter values from the caller, which take precedence over the rules
+        in the model.
         """
         if not self._declared.signals:
             return []
@@ -277,8 +286,8 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        `slot` is the parameter. `named` has the values and functions given by the caller, by full
-        name, which take precedence over the rules in the model.
+        `slot` is the parameter. `named` maps full names to values or functions from the caller.
+        They take precedence over the rules in the model.
         """
         if slot.name in named:
             given = named[slot.name]
@@ -326,10 +335,12 @@ class ModelValues:
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
         """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        `slot` is the variable. The result is None if the variable has no such rule, if its values
-        in the model differ from the values of the rule, or if the rule fails or is not finite at
-        one of the fractions (for example, because it looks up values at members of the continuous
-        set).
+        `slot` is the variable. The result is None in three cases:
+
+        - the variable has no `initialize` rule;
+        - the values of the variable in the model differ from the values of the rule;
+        - the rule fails or is not finite at one of the fractions, for example because it looks up
+        values at members of the continuous set.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -342,9 +353,9 @@ class ModelValues:
         return found if np.all(np.isfinite(found)) else None
 
     def static_value(self, slot: Slot) -> float | None:
-        """Return the value in the model of a variable without time, None if it has none.
+        """Return the value in the model of a variable without time.
 
-        `slot` is the variable.
+        `slot` is the variable. The result is None if the variable has no value.
         """
         return self._source.variable(slot)
 
@@ -356,10 +367,17 @@ class ModelValues:
     def load(self, slot: Slot, fraction: float | None, number: float) -> None:
         """Set a variable of the Pyomo model at one time to its solved value.
 
-        `slot` is the variable, and `number` the solved value. `fraction` is the time, a declared
-        time (member of the continuous set) as a fraction of the horizon; it is None for a static
-        variable (a variable without time). A variable that a user fixed at this time keeps its
-        value.
+        A variable that a user fixed at the time keeps its value.
+
+        Parameters
+        ----------
+        slot : Slot
+            The variable.
+        fraction : float or None
+            The time, a member of the continuous set as a fraction of the horizon; None for a
+            variable without time.
+        number : float
+            The solved value.
         """
         time = None
         if fraction is not None:
@@ -369,9 +387,9 @@ class ModelValues:
     def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
         """Set the model's derivatives at a declared time to their solved values.
 
-        `fraction` is the declared time, a member of the continuous set, as a fraction of the
-        horizon. `rate(name, index=...)` returns the value of the derivative with the given name and
-        the given index without the time (i for ``x[i, t]``).
+        `fraction` is the declared time (member of the continuous set) as a fraction of the horizon.
+        `rate(name, index=...)` returns the solved value of the derivative called `name`. Its
+        argument `index` is the index without the time: i for ``x[i, t]``.
         """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 

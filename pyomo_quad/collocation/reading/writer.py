@@ -1,8 +1,8 @@
 """Translation of Pyomo expressions to CasADi expressions.
 
-Equations over time are translated at a single time, the template time, which is added to the
-continuous set. The symbols in the translation stand for functions of time. The resulting
-expressions hold at all times.
+A single time, the template time, is added to the continuous set. Equations over time are translated
+at the template time. The symbols in the translation stand for functions of time, so that the
+resulting expressions hold at all times.
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ class ExpressionWriter:
         Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
     named : callable, optional
         Takes a named Pyomo expression and returns its replacement: a CasADi symbol or another Pyomo
-        expression. If the callable returns None, or if it is not given, the named expression is not
-        replaced: its own definition is translated.
+        expression. If the callable is not given or returns None, the definition of the named
+        expression is translated.
 
     Notes
     -----
-    A named expression is translated once and shared afterwards, so that the work grows with the
-    text of the model and not with how often an expression is used.
+    A named expression is translated once and then shared. The work therefore grows with the text of
+    the model, not with the number of times that an expression is used.
     """
 
     def __init__(
@@ -127,8 +127,8 @@ class ExpressionWriter:
         Returns
         -------
         (bool, Any)
-            True and `expression` itself to descend into it; otherwise False and the CasADi
-            expression into which `expression` is translated.
+            (True, `expression`) to descend into it. Otherwise False and the translation of
+            `expression` to CasADi.
         """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
@@ -139,8 +139,8 @@ class ExpressionWriter:
         Returns
         -------
         (bool, Any)
-            True and None to descend into the argument `child`; otherwise False and the CasADi
-            expression into which `child` is translated.
+            (True, None) to descend into the argument `child`. Otherwise False and the translation
+            of `child` to CasADi.
         """
         if child.__class__ in native_types:
             return False, child
@@ -162,8 +162,8 @@ class ExpressionWriter:
     def _atom(self, child: Any) -> Any:
         """Return the CasADi symbol or number for an operand that is not itself an operation.
 
-        `child` is the operand in the Pyomo expression: a variable or parameter, which gives a
-        symbol; a constant, which gives its number; or a unit, which gives the number 1.
+        `child` is the operand in the Pyomo expression. A variable or parameter gives a symbol, a
+        constant gives its number, and a unit gives the number 1.
         """
         if isinstance(child, _PyomoUnit):
             return 1.0
@@ -172,11 +172,11 @@ class ExpressionWriter:
         return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
-        """Return the CasADi expression of a node of the tree of a Pyomo expression.
+        """Return the CasADi expression of an operation or named expression of Pyomo.
 
-        `node` is the node, an operation or a named expression. `arguments` are the CasADi
-        expressions of the arguments of the node. Pyomo's expression walker calls this method when
-        it has visited all these arguments.
+        `node` is the operation or named expression. `arguments` are its arguments, already
+        translated to CasADi. Pyomo's expression walker calls this method after it has visited all
+        arguments.
         """
         if node.is_named_expression_type():
             self._named[id(node)] = arguments[0]
@@ -186,8 +186,14 @@ class ExpressionWriter:
     def apply(self, node: Any, arguments: list[Any], owner: str) -> Any:
         """Return the CasADi expression of a Pyomo operation applied to translated arguments.
 
-        `node` is the operation, and `owner` the name of the component that contains it, for
-        messages.
+        Parameters
+        ----------
+        node : Pyomo expression
+            The operation.
+        arguments : list of casadi.SX
+            Arguments of the operation.
+        owner : str
+            Name of the component that contains the operation, for messages.
         """
         self._owner = owner
         return self._apply(node, arguments)
@@ -195,10 +201,10 @@ class ExpressionWriter:
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
         """Return the CasADi expression of a Pyomo operation applied to translated arguments.
 
-        `node` is the operation, and `arguments` are the CasADi expressions of its arguments. Unlike
-        `apply`, this method does not set the name of the component that contains the operation,
-        which messages need: the name must be set already. An operation without a smooth counterpart
-        in CasADi is an error.
+        `node` is the operation, and `arguments` are the CasADi expressions of its arguments. An
+        operation without a smooth counterpart in CasADi is an error. The message needs the name of
+        the component with the operation. This method does not set that name, in contrast to
+        `apply`.
         """
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
@@ -224,8 +230,9 @@ class ExpressionWriter:
 def same_expression(first: Any, second: Any) -> bool:
     """Return whether two CasADi expressions are the same function of the same symbols.
 
-    Expressions whose trees differ are compared by their values at a few points, because CasADi may
-    have simplified constants in the first expression and not in the second.
+    Two expressions with different trees may still be the same function, because CasADi may have
+    simplified constants in only one of them. Such expressions are compared by their values at a few
+    points.
     """
     first, second = casadi.SX(first), casadi.SX(second)
     if casadi.is_equal(first, second, 1_000_000):
@@ -272,10 +279,10 @@ class TemplateWriter:
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
         Sources of the data that vary with time without a CasADi expression of time. A `Schedule`
-        belongs to a rule that branches on time or looks up numbers by time. Its data are the branch
-        that the rule takes at each time, and the numbers that the rule uses in this branch. A
-        `Phases` object belongs to a horizon that free times (times that the solve determines)
-        divide into phases. Its data tell which phase contains each time.
+        belongs to a rule that branches on time or looks up numbers by time. It gives the branch
+        that the rule takes at each time, and the numbers in the branch. A `Phases` object tells
+        which phase of the horizon contains each time. Free times (times that the solve determines)
+        divide a horizon into phases.
     """
 
     def __init__(
@@ -303,8 +310,8 @@ class TemplateWriter:
         owner : str
             Name of the component that contains the expression, for messages.
         over_time : bool, default False
-            Whether the expression belongs to an equation over time, in which the value of a
-            variable at a single time (member of the continuous set) is an error.
+            Whether the expression belongs to an equation over time. The value of a variable at a
+            single time (member of the continuous set) is then an error.
         """
         before, self._in_path = self._in_path, over_time
         try:
@@ -383,25 +390,25 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return the bounds for all times that a user assigned after a variable's declaration.
 
-        `slot` is the variable. A user may assign bounds to a variable's members at the declared
-        times, the members of the continuous set. Bounds that were changed at every declared time
-        are treated as follows:
+        `slot` is the variable. A user may assign bounds to the members of the variable at the
+        declared times (members of the continuous set). If the bounds were changed at every declared
+        time, the result depends on the kind of variable:
 
-        - algebraic variable, or state with a fixed member: equal bounds apply at all times, and are
-          returned; bounds that differ from time to time are refused;
-        - other state: bounds that differ from time to time apply at the declared times only; equal
-          bounds are refused, because it is unclear whether they apply between these times.
+        - For an algebraic variable, or a state with a fixed member, equal bounds apply at all
+        times. Different bounds are an error.
+        - For any other state, different bounds apply at the declared times only. Equal bounds are
+        an error, because it is unclear whether they apply between the declared times.
 
         Returns
         -------
         (lower, upper) or None
-            None if the bounds are as declared at one or more declared times, or apply at the
-            declared times only.
+            Bounds that apply at all times. None if the bounds apply at the declared times only, or
+            were left unchanged at one or more declared times.
 
         Raises
         ------
         TranscriptionError
-            If the bounds were changed at every declared time, and are refused as described above.
+            In the two cases of an error in the list above.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -444,8 +451,8 @@ class TemplateWriter:
         """Return the parts of a rule's result as functions of time, and whether it is an equality.
 
         The parts are lower bound, body and upper bound of a constraint, or a single expression. The
-        rule is called once with a symbol for time. If the rule needs time as a number, for example
-        to compare it, the rule is called at many times instead.
+        rule is called once with a symbol for time. If the rule needs its time as a number, for
+        example in a comparison, the rule is called at many times instead.
 
         Parameters
         ----------
@@ -453,6 +460,13 @@ class TemplateWriter:
             Name of the component, for messages.
         say : callable
             Time -> `Statement`, the result of the rule.
+
+        Returns
+        -------
+        list of casadi.SX
+            The parts, as expressions that hold at all times.
+        bool
+            Whether the rule states an equality.
         """
         symbol = TimeSymbol(self.copy.template_time, self._clock)
         statement = _attempt(say, symbol)
@@ -474,10 +488,17 @@ class TemplateWriter:
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
         """Call a component's rule at one time, and return the result of the rule.
 
-        `name` is the name of the component, for messages. `say` calls the rule with a time, and
-        `time` is this time. The result is a `Statement`, which holds what the rule returned. If the
-        component is a constraint, this is a lower bound, a body and an upper bound. If the
-        component is a named Pyomo expression, this is a single Pyomo expression.
+        The result is a `Statement`. For a constraint it holds a lower bound, a body and an upper
+        bound. For a named Pyomo expression it holds a single Pyomo expression.
+
+        Parameters
+        ----------
+        name : str
+            Name of the component, for messages.
+        say : callable
+            Time -> `Statement`, the result of the rule.
+        time : float
+            Time with which the rule is called.
 
         Raises
         ------
@@ -506,13 +527,12 @@ class TemplateWriter:
     def at_instant(self, data: Any) -> Any:
         """Return a constraint's member at a declared time, with free times in place of numbers.
 
-        A declared time is a member of the continuous set. A free time is a static variable (a
-        variable without time) that gives the physical time to which a declared time corresponds. If
-        the rule of a constraint is ``m.x[t] == t``, the time on its right-hand side becomes this
-        physical time, an expression of free times, instead of the number of the declared time.
+        A declared time is a member of the continuous set. A free time is a variable that gives the
+        physical time of a declared time. An example is a constraint with the rule ``m.x[t] == t``.
+        The number on the right-hand side becomes the physical time, an expression of free times.
 
-        `data` is the member. A member whose physical time depends on no free time is returned
-        unchanged.
+        `data` is the member, a Pyomo data object. If its physical time depends on no free time, it
+        is returned unchanged.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -538,15 +558,17 @@ class TemplateWriter:
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
         """Return the values of time-dependent data, just before or just after a given time.
 
-        The data are those that Python evaluates, because no CasADi expression of time exists for
-        them. The equations contain symbols for these data. There are two kinds of data.
-        For rules that branch on time, the data are the branch that a rule takes, and the numbers
-        that the rule uses in this branch. For a horizon that is divided into phases, the data are
-        the indicators of the phases: each indicator is 1 at times of its phase and 0 elsewhere. The
-        result maps the name of each symbol to (symbol, value).
+        Python evaluates these data, because they have no CasADi expression of time. Symbols stand
+        for the data in the equations. There are two kinds of data:
+
+        - For a rule that branches on time, the data are the branch that the rule takes, and the
+        numbers in the branch.
+        - For a horizon with phases, the data are one indicator per phase: 1 during the phase and 0
+        elsewhere.
 
         `time` is a time in the range of the continuous set. `side` is -1 for values just before the
-        time, 1 for values just after it.
+        time, 1 for values just after it. The result maps the name of each symbol to (symbol,
+        value).
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -558,11 +580,11 @@ class TemplateWriter:
         }
 
     def _within(self, time: float) -> float:
-        """Return the midpoint of the interval in which a time lies.
+        """Return the midpoint between the declared times before and after a given time.
 
-        Neighbouring declared times (members of the continuous set) bound the interval. If times are
-        free (determined by the solve), a rule is called with the midpoint instead of `time` itself,
-        because the result of the rule may then change at declared times only.
+        Declared times are the members of the continuous set. If times are free (determined by the
+        solve), the result of a rule may change at declared times only. The rule is then called with
+        the midpoint instead of `time`.
         """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
@@ -596,9 +618,9 @@ class TemplateWriter:
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `name` is the full name of the component, and `index` the index of its member without the
-        time: (i,) for ``x[i, t]``. The result is None if the model has no component over time of
-        this name.
+        `name` is the full name of the component. `index` is the index of its member without the
+        time: (i,) for ``x[i, t]``. The result is None if the model has no component over time
+        called `name`.
 
         Raises
         ------
@@ -614,7 +636,8 @@ class TemplateWriter:
         """Yield the members of all variables, parameters and expressions over time.
 
         Each item is (name of the component, index without time). The index without time is (i,) for
-        ``x[i, t]``. The method `over_time` returns the CasADi expression of such an item.
+        ``x[i, t]``. The method `over_time` takes the two values of an item, and returns the CasADi
+        expression of the member.
         """
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
@@ -627,9 +650,9 @@ class TemplateWriter:
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `component` is the Pyomo component, and `index` is the index without the time: (i,) for
-        ``x[i, t]``. The expression is read at the template time, the interior time that was added
-        for this purpose.
+        `component` is the Pyomo component. `index` is the index without the time: (i,) for ``x[i,
+        t]``. The member at the template time (the added interior time at which equations are read)
+        is translated.
         """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
@@ -656,10 +679,9 @@ class TemplateWriter:
         """Return the replacement of a named Pyomo expression or integral, in CasADi symbols.
 
         `expression` is the named expression or integral, a Pyomo data object. An integral is
-        replaced by its symbol. An expression over time, at the template time (the added interior
-        time at which equations are read), is replaced by the result of its rule. For any other
-        named expression the result is None: the expression is not replaced, and its own definition
-        is translated.
+        replaced by its symbol. An expression over time at the template time (the added interior
+        time at which equations are read) is replaced by the result of its rule. Any other named
+        expression is not replaced, and the result is None.
         """
         component = expression.parent_component()
         if component is None:
@@ -675,11 +697,16 @@ class TemplateWriter:
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
         """Return the CasADi expression of a named Pyomo expression over time, from its rule.
 
-        The rule is called when the expression is needed for the first time. The result is cached by
-        name.
+        The rule is called at first use. The result is cached by name.
 
-        `component` is the named expression, and `index` the index of its member without the time:
-        (i,) for ``x[i, t]``. `rule` is the Pyomo initializer that makes the members.
+        Parameters
+        ----------
+        component : Expression
+            The named expression.
+        index : tuple
+            Index of its member without the time: (i,) for ``x[i, t]``.
+        rule : Pyomo initializer
+            Maker of the members.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
@@ -694,11 +721,13 @@ class TemplateWriter:
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
         """Return a parameter over time as a differentiable CasADi expression of time.
 
-        This is used if times are free (determined by the solve): the value of the parameter then
-        depends on the free times, and its derivative with respect to time is required. `data` is
-        the Pyomo data object, and `address` its component, index and time. At a declared time (a
-        member of the continuous set), the result is the value at that time. A parameter without a
-        rule, or without time, is returned as its symbol.
+        This method is used if times are free (determined by the solve). The value of the parameter
+        then depends on the free times, and its derivative with respect to time is required.
+
+        `data` is a member of the parameter, a Pyomo data object. `address` has the member's
+        component, index and time. For a member at a declared time (member of the continuous set),
+        the result is the value at that time. A parameter without a rule, or without time, is
+        returned as its symbol.
         """
         component = data.parent_component()
         rule = rule_of(component)
@@ -717,8 +746,8 @@ class TemplateWriter:
         """Return the CasADi symbol of an integral.
 
         `component` and `index` identify the integral in the Pyomo model. At first use, the
-        integrand is translated, and symbol and integrand are stored in the dictionary `integrals`.
-        An integral inside an equation over time is an error.
+        integrand is translated and stored with the symbol in the dictionary `integrals`. An
+        integral inside an equation over time is an error.
         """
         if self._in_path:
             raise TranscriptionError(
@@ -742,10 +771,9 @@ class TemplateWriter:
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
     """Return the result of calling a rule with a symbol in place of time; None if that fails.
 
-    `say` calls the rule with a time, and `symbol` is the symbol that the rule receives as its time.
-    The result is a `Statement`, which holds what the rule returned. For the rule of a constraint,
-    this is a lower bound, a body and an upper bound. For the rule of a named Pyomo expression, this
-    is a single Pyomo expression.
+    `say` calls the rule with a time, here with `symbol`. The result is a `Statement`. For a
+    constraint it holds a lower bound, a body and an upper bound. For a named Pyomo expression it
+    holds a single Pyomo expression.
     """
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
@@ -758,12 +786,12 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
     """Raise an error for a rule that uses its time as a number in a model with free times.
 
-    Free times are times of the model that the solve determines. In a model with free times, the
-    physical times are unknown when the rules are called. The only use of its time as a number that
-    is permitted to a rule is a comparison with declared times (members of the continuous set).
+    Free times are times that the solve determines. In a model with free times, physical times are
+    unknown when the rules are called. A rule may compare its time with declared times (members of
+    the continuous set). Every other use of its time as a number is an error.
 
-    `name` is the name of the component whose rule uses its time in another way. `error` is the
-    exception that this rule raised, None if the rule raised none.
+    `name` is the name of the component with the rule. `error` is the exception that the rule
+    raised, None if it raised none.
     """
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
@@ -775,11 +803,10 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 def _as_numeric(statement: Statement) -> Statement:
     """Return a rule's result with a Pyomo parameter in place of the symbol for time.
 
-    `statement` is the result of calling the rule with a symbol as its time. The parts of
-    `statement` are the lower bound, body and upper bound of a constraint, or a single expression. A
-    part may be the symbol itself, for example a bound that equals the time. The symbol is no Pyomo
-    object, so that such a part is replaced by the Pyomo parameter that stands for physical time.
-    Other parts are unchanged.
+    `statement` is the result of a rule that was called with a symbol for time. Its parts are the
+    lower bound, body and upper bound of a constraint, or a single expression. A part may be the
+    symbol itself, for example a bound that equals the time. The symbol is no Pyomo object. Such a
+    part is therefore replaced by the Pyomo parameter for physical time. Other parts are unchanged.
     """
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))

@@ -28,10 +28,8 @@ SAME = 1e-12
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit becomes active or inactive.
 
-    A limit that becomes active or inactive at a breakpoint that the problem requires, for example
-    where a parameter jumps, is not counted.
-
-    `solution` is the solution on one mesh, whose elements have these indices.
+    The problem itself requires some breakpoints, for example where a parameter jumps. A limit that
+    becomes active or inactive at a required breakpoint is not counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)
@@ -40,8 +38,8 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which only limits on algebraic variables change.
 
-    A limit changes if it becomes active or inactive. Elements in or beside which a limit on a state
-    changes are left out, because the state's costate may jump there.
+    A limit changes if it becomes active or inactive. An element is left out if a limit that
+    involves a state changes in or beside it, because the state's costate may jump there.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
@@ -50,9 +48,10 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
     """Return for each limit over time whether it limits algebraic variables alone.
 
-    Such a limit involves no state and no rate (derivative of a state). The result has shape
-    (n_limits,). The limits are, in this order: lower bounds of states and algebraic variables,
-    their upper bounds, lower sides of path equations, and their upper sides.
+    A limit on algebraic variables alone involves no state and no rate (derivative of a state). The
+    result has shape (n_limits,). The limits are, in this order: lower bounds of states and
+    algebraic variables, upper bounds of these variables, lower sides of path equations, and upper
+    sides of path equations.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -88,9 +87,9 @@ def _changing(
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
     """Return for each breakpoint of the mesh whether the problem requires it.
 
-    The result has shape (n_elements + 1,). Breakpoints are required at start and end of the
-    horizon, at times at which a constraint at a single time is imposed or a variable is fixed, and
-    where a parameter jumps.
+    The result has shape (n_elements + 1,). Required breakpoints are the start and end of the
+    horizon, the times of constraints at a single time, the times at which a variable is fixed, and
+    the times at which a parameter jumps.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
@@ -100,11 +99,13 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
     """Return whether each limit over time is active at each collocation point.
 
+    A limit is active where its scaled multiplier is larger than its scaled slack (distance to the
+    limit). At an interior-point solution, the product of multiplier and slack is the same small
+    number everywhere.
+
     The result has shape (n_points, n_limits). The limits are, in this order: lower bounds of states
-    and algebraic variables, their upper bounds, lower sides of path equations, and their upper
-    sides. At an interior-point solution the product of a limit's multiplier and slack (distance to
-    the limit) is the same small number everywhere. A limit is active where its scaled multiplier is
-    larger than its scaled slack.
+    and algebraic variables, upper bounds of these variables, lower sides of path equations, and
+    upper sides of path equations.
     """
     pulls, slacks = _pulls_and_slacks(solution)
     return np.asarray(pulls > slacks)
@@ -114,11 +115,12 @@ def kinks(solution: Solution) -> FloatArray:
     """Return the times at which an algebraic variable reaches or leaves a limit with a kink.
 
     At a kink the variable is continuous and its slope jumps. The kink lies between two neighbouring
-    collocation points, at one of which the limit is active. The slack (distance to the limit) is
-    extrapolated from three points at which the limit is inactive, and the time of the kink is the
-    time at which the extrapolated slack is zero. The time of a jump of the variable is not
-    returned: at a jump the extrapolated slack has no zero between the two points, or the slack at
-    the inactive point is large.
+    collocation points, one where the limit is active and one where it is inactive. The slack
+    (distance to the limit) is extrapolated from three points at which the limit is inactive. The
+    kink is at the zero of the extrapolated slack.
+
+    A jump of the variable is no kink, and is left out. It is recognised by a large slack at the
+    inactive point, or because the extrapolated slack has no zero between the two points.
 
     Returns
     -------
@@ -144,9 +146,9 @@ def kinks(solution: Solution) -> FloatArray:
 def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a positive function reaches zero, by inverse extrapolation.
 
-    `values` are samples of the function at the times `times`, all on the same side of the zero. The
-    first sample is the nearest to the zero, and each further sample is farther away. The result is
-    NaN unless each value is larger than the one before it.
+    `values` are samples of the function at the times `times`, all on one side of the zero. The
+    first sample is nearest to the zero, and each further sample is farther away. The result is NaN
+    if the values do not rise from sample to sample.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan
@@ -159,13 +161,14 @@ def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
 
     The slack is the distance of the limited value from its limit. A limit is active where its
     multiplier is larger than its slack. The limits are, in this order: lower bounds of states and
-    algebraic variables, their upper bounds, lower sides of path equations, and their upper sides.
+    algebraic variables, upper bounds of these variables, lower sides of path equations, and upper
+    sides of path equations.
 
     Returns
     -------
     pulls : ndarray, shape (n_points, n_limits)
-        Multiplier of each limit at each collocation point, for the scaled program, divided by the
-        point's quadrature weight. It is 0 where the lower and the upper limit are equal.
+        Multiplier of each limit at each collocation point in the scaled program, divided by the
+        quadrature weight of the point. It is 0 where the lower and the upper limit are equal.
     slacks : ndarray, shape (n_points, n_limits)
         Slack of each limit at each collocation point, in the scaled program.
     """

@@ -1,9 +1,10 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
-Damping is a penalty on the distance between the controls and the smoothed controls. A control
-enters linearly if the equations and the objective depend linearly on it. The objective then hardly
-depends on the control at a single point. Without damping, such controls oscillate from point to
-point (chatter), and change from mesh to mesh. See docs/theory/refinement.md, eq. (9).
+A control enters linearly if the equations and the objective depend linearly on it. The objective
+then hardly depends on the control at a single point. Without damping, the control oscillates from
+point to point (chatter), and changes from mesh to mesh. Damping is a penalty on the distance
+between the control and the smoothed control of the previous mesh. See docs/theory/refinement.md,
+eq. (9).
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ _FAR = 1e-2
 class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
-    The smoothed controls are straight lines between the means of the controls over each element. If
-    the objective hardly changes from mesh to mesh any more, they are instead polynomials of low
-    degree in each element.
+    The controls are smoothed in one of two ways. The usual smoothed controls are straight lines
+    between the means of the controls over each element. If the objective hardly changes from mesh
+    to mesh any more, the smoothed controls are polynomials of low degree in each element.
 
     Attributes
     ----------
@@ -46,14 +47,13 @@ class Damping:
     prices : ndarray, shape (n_controls,)
         Penalty per unit of mean square distance over the horizon, for each control.
     gap : float
-        Complementarity gap (the sum over all limits of multiplier times distance to the limit) that
-        the solve on the next mesh leaves, in the unit of the objective. If it is positive, Ipopt
-        stops reducing its barrier parameter when the gap has this size. If it is zero, Ipopt's
-        usual final barrier parameter applies.
+        Complementarity gap that the solve on the next mesh leaves, in the unit of the objective.
+        The gap is the sum over all limits of multiplier times distance to the limit. If `gap` is
+        positive, Ipopt stops reducing its barrier parameter at a gap of this size. If `gap` is
+        zero, Ipopt's usual final barrier parameter applies.
     is_still : bool
-        Whether the objective hardly changes from mesh to mesh any more. The controls are then
-        damped towards the previous controls smoothed within each element, instead of towards the
-        straight lines between element means.
+        Whether the objective hardly changes from mesh to mesh any more. The smoothed controls are
+        then polynomials in each element, instead of straight lines between means.
     """
 
     solution: Solution
@@ -66,9 +66,9 @@ class Damping:
     def start_distance(self) -> StartDistance:
         """Expected distance between warm start and solution in the solve on the next mesh.
 
-        The distance is none, short or far. It is none if the attribute `is_still` states that the
-        objective hardly changes from mesh to mesh any more. Otherwise it is far if the error of the
-        solution on the previous mesh is large, and short if this error is small. Ipopt's initial
+        The warm start is the solution on the previous mesh. The distance is none if the objective
+        hardly changes from mesh to mesh any more (attribute `is_still`). Otherwise it is far if the
+        error of the previous solution is large, and short if the error is small. Ipopt's initial
         barrier parameter is chosen according to this distance.
         """
         if self.is_still:
@@ -78,13 +78,12 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor`.
 
-        The new damping penalises the distance from the previous controls after these have been
-        smoothed by a polynomial within each element. Its attribute `is_still`, which selects this
-        smoothing, is therefore true.
+        The new damping smooths the previous controls by polynomials in each element: its attribute
+        `is_still` is true.
 
-        The complementarity gap is the sum over all limits of multiplier times distance to the
-        limit; the next solve may stop at the gap that the damping prescribes. The new damping
-        prescribes the gap of this damping, but at least `gap` times the nominal magnitude of the
+        The new damping may also permit a larger complementarity gap at the end of the next solve.
+        The gap is the sum over all limits of multiplier times distance to the limit. The permitted
+        gap is the one of this damping, but at least `gap` times the nominal magnitude of the
         objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
@@ -108,10 +107,10 @@ class Damping:
         """Return the smoothed controls of the previous mesh, towards which controls are damped.
 
         The smoothed controls are straight lines between the means of the controls over each
-        element. If the objective hardly changes from mesh to mesh any more (the attribute
-        `is_still` is then true), the smoothed controls are instead polynomials of low degree in
-        each element, clipped to the limits of the controls. `fractions` are the times of the result
-        as fractions of the horizon. The result has shape (n_fractions, n_controls).
+        element. If `is_still` is true (the objective hardly changes from mesh to mesh any more),
+        they are polynomials of low degree in each element, clipped to the limits of the controls.
+        `fractions` are the times of the result as fractions of the horizon. The result has shape
+        (n_fractions, n_controls).
         """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
@@ -126,7 +125,7 @@ class Damping:
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
     """Smooth values in each element by a polynomial of about half the element's degree.
 
-    The polynomial is fitted to the values by least squares. It is evaluated at given times.
+    The polynomial is fitted to the values by least squares.
 
     Parameters
     ----------
@@ -139,6 +138,7 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
     Returns
     -------
     ndarray, shape (n, k)
+        Values of the polynomials at `fractions`.
     """
     starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
     element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
@@ -173,25 +173,24 @@ def damping_of(
 
     Damping is a penalty on the distance from the smoothed controls of the solution. It prevents
     controls from oscillating from point to point (chatter). A control is damped if it is bounded
-    and if the Lagrangian's second derivative with respect to the control is small at one or more
-    collocation points. The control then enters the problem nearly linearly there. This includes a
-    control on which the cost depends with a (smoothed) corner: the cost has curvature at the corner
-    only, and is linear beside it.
+    and enters the problem nearly linearly at one or more collocation points. It enters nearly
+    linearly where the second derivative of the Lagrangian with respect to the control is small. An
+    example is a cost with a smoothed corner: it has curvature at the corner, and is linear beside
+    it.
 
     Parameters
     ----------
     solution : Solution
         Solution on the previous mesh.
     weight : float
-        Penalty, as a fraction of the objective, on a control that differs by its whole range from
-        the value towards which it is damped.
+        Penalty on a control that differs by its whole range from the smoothed control, as a
+        fraction of the objective.
     gap : float, optional
-        Complementarity gap (the sum over all limits of multiplier times distance to the limit) that
-        the solve on the next mesh leaves, as a fraction of the objective.
+        Complementarity gap that the solve on the next mesh leaves, as a fraction of the objective.
+        The gap is the sum over all limits of multiplier times distance to the limit.
     is_still : bool, optional
-        Whether the objective hardly changes from mesh to mesh any more. The controls are then
-        damped towards the previous controls smoothed within each element, instead of towards the
-        straight lines between element means.
+        Whether the objective hardly changes from mesh to mesh any more. The smoothed controls are
+        then polynomials in each element, instead of straight lines between means over the elements.
 
     Returns
     -------
@@ -219,9 +218,8 @@ def damping_of(
 def _least_curvatures(solution: Solution) -> FloatArray:
     """Return the least second derivative of the Lagrangian with respect to each algebraic variable.
 
-    The derivative of second order with respect to a control measures how nearly linearly the
-    control enters; it may be negative. The result is the minimum over all collocation points, with
-    its sign, shape (n_algebraics,).
+    The result has shape (n_algebraics,). It is the minimum over all collocation points, and may be
+    negative. A small second derivative shows that the variable enters nearly linearly.
     """
     program = solution.program
     first = 2 * program.layout.n_states

@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     """Return the effect on the final states of the state errors that arise in each element.
 
-    The controls are taken as functions of time alone (open loop), so that no later control corrects
-    an error.
+    The controls are taken as functions of time alone (open loop). No later control corrects an
+    error.
 
     Parameters
     ----------
@@ -67,10 +67,20 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
     """Return the state transition matrix of an element, with the controls unchanged.
 
-    The matrix has the derivatives of the states at the element's end with respect to the states at
-    its start, shape (n_states, n_states). `solution` has the mesh. `equations` has the derivatives
-    of the differential equations with respect to rates and states at the collocation points. `e` is
-    the index of the element.
+    Parameters
+    ----------
+    solution : Solution
+        Solution with the mesh.
+    equations : Linearised
+        Derivatives of the differential equations with respect to rates and states, at the
+        collocation points. Rates are the derivatives of the states.
+    e : int
+        Index of the element.
+
+    Returns
+    -------
+    ndarray, shape (n_states, n_states)
+        Derivatives of the states at the element's end with respect to the states at its start.
     """
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -106,23 +116,21 @@ class Allowance:
     Attributes
     ----------
     control_breach : float
-        Tolerable violation of a control's bound between the collocation points, relative to
-        max(1, abs(bound)). A control that violates its bound by more is clipped, and the effect of
-        clipping on states and objective counts as error. A control that violates its bound by less
-        is not clipped, and the change of states that the violation causes counts as error.
+        Tolerable violation of a control's bound between the collocation points, relative to max(1,
+        abs(bound)). A larger violation is clipped, and the effect of clipping on states and
+        objective counts as error. A smaller violation is not clipped, and its effect on the states
+        counts as error.
     limit_breach : float
-        Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If the
-        violation is larger, the violation itself counts as error. If it is smaller, its effect on
-        the objective counts as error.
+        Largest tolerable violation of any other limit, relative to max(1, abs(limit)). A larger
+        violation counts as error itself. A smaller violation counts by its effect on the objective.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
         Tolerance on the error of the states between the points, relative to their magnitudes; by
         default the tolerance of the refinement. A larger value suffices if a simulation corrects
-        the controls by feedback and does not fly them in open loop, because the error then changes
-        the objective only to second order. The tolerance on the residuals of algebraic equations
-        between the points is then ten times this value, because the simulation solves these
-        equations.
+        the controls by feedback, because the error then changes the objective only to second order.
+        If the value is larger, the tolerance on the residuals of algebraic equations is ten times
+        the value, because the simulation solves these equations.
     """
 
     control_breach: float = np.inf
@@ -135,42 +143,43 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Some effects of the elements' errors on the objective add up over the elements. An attribute
-    marked "extrapolated" has for each element its own effect times the number of elements, but at
-    most the sum of the effects of all elements. An extrapolated effect can be compared with the
-    tolerance for the whole horizon.
+    Some errors of the elements add up over the elements. Attributes with such errors are marked
+    "extrapolated". The entry of an element is then its own error times the number of elements, but
+    at most the sum over all elements. It can be compared with the tolerance for the whole horizon.
 
     Attributes
     ----------
     states : ndarray, shape (n_elements, n_states)
-        Largest error between the collocation points, relative to the larger of the state's largest
-        magnitude and its nominal magnitude (1 unless declared), scaled so that the allowed error
-        equals the tolerance.
+        Largest error of each state between the collocation points, relative to the state's
+        magnitude. The magnitude is the larger of the state's largest value and its nominal
+        magnitude (1 unless declared). The error is scaled so that the allowed error equals the
+        tolerance.
     violation : ndarray, shape (n_elements,)
-        Violation of path equations and bounds between the collocation points, relative to
-        max(1, abs(bound)).
+        Violation of path equations and bounds between the collocation points, relative to max(1,
+        abs(bound)).
     objective : ndarray, shape (n_elements,)
-        Change of the objective by an element's state errors, estimated from the costates,
-        extrapolated, relative to the objective's nominal magnitude (`Solution.nominal_objective`).
+        Change of the objective by the state errors, from the costates. Extrapolated, and relative
+        to the nominal magnitude of the objective (`Solution.nominal_objective`).
     switches : ndarray, shape (n_elements,)
-        Possible cost of control switches at a wrong time inside an element, extrapolated, relative
-        to the objective's own magnitude. Zero unless all other errors are below the tolerance.
+        Possible cost of control switches at a wrong time inside an element. Extrapolated, and
+        relative to the objective's own magnitude. Zero unless all other errors are below the
+        tolerance.
     costs : ndarray, shape (n_elements,)
-        The same as `objective`, but relative to the objective's own magnitude, and doubled to allow
-        for the unknown error of the controls. Zero unless all other errors are below the tolerance.
+        Change of the objective by the state errors, as in `objective`, but relative to the
+        objective's own magnitude. It is doubled to allow for the unknown error of the controls.
+        Zero unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
-        Cost of the bounds that are imposed between the collocation points, extrapolated, relative
-        to the nominal magnitude of the objective. The cost may use up only a fraction of the
-        tolerance; it is divided by this fraction, so that the quotient can be compared with the
-        whole tolerance.
+        Cost of the bounds that are imposed between the collocation points. Extrapolated, and
+        relative to the nominal magnitude of the objective. The cost may use up only half of the
+        tolerance. It is therefore doubled, so that it can be compared with the whole tolerance.
     integrals : ndarray, shape (n_elements,)
-        Error of the quadrature of the objective and of every integral, relative to the objective
-        and to max(1, abs(integral)).
+        Error of the quadrature. The error of the objective is relative to the objective, and the
+        error of an integral is relative to max(1, abs(integral)).
     miss : ndarray, shape (n_elements,)
-        Effect of the state errors on the final states, scaled so that the allowed miss equals the
+        Effect of the state errors on the final states, scaled so that the allowed effect equals the
         tolerance.
     gap : float
-        Complementarity gap that the barrier leaves, relative to the objective; a finer mesh does
+        Complementarity gap that the barrier leaves, relative to the objective. A finer mesh does
         not reduce the gap.
     is_clipped : ndarray of bool, shape (n_elements,)
         Whether a control is clipped to its limit within the element. The clipped control has a
@@ -190,7 +199,7 @@ class ErrorEstimate:
 
     @property
     def per_element(self) -> FloatArray:
-        """Largest error in each element, of all kinds of error, shape (n_elements,)."""
+        """Largest error in each element, over all kinds of error, shape (n_elements,)."""
         return np.maximum.reduce(
             [
                 self.states.max(axis=1, initial=0.0),
@@ -218,8 +227,8 @@ class ErrorEstimate:
     def largest(self) -> float:
         """Largest error of the solution, which the refinement compares with the tolerance.
 
-        It is the maximum over all elements, all kinds of error, and the relative complementarity
-        gap.
+        It is the largest error of any kind in any element, or the relative complementarity gap if
+        the gap is larger.
         """
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
@@ -229,20 +238,19 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
-    Polynomials may satisfy the differential equations although the quadrature misjudges an
-    integrand that has a higher degree, or a corner between the points. Every integral is therefore
-    recomputed by Gauss' rule on panels of each element.
+    Every integral is recomputed by Gauss' rule on panels of each element. Even if the polynomials
+    satisfy the differential equations, the quadrature at the collocation points may be inaccurate:
+    the integrand may have a higher degree, or a corner between the points.
 
     Parameters
     ----------
     solution : Solution
         Solution on one mesh, whose errors between the collocation points are estimated.
     tolerance : float, optional
-        Tolerance with which the errors will be compared. The errors of the states have tolerances
-        of their own, the attributes `state_error` and `final_miss` of `allowance`; they are scaled
-        so that they can be compared with `tolerance` too. The costs of misplaced control switches
-        count only if all other errors are below the tolerance, so that coarse elements are refined
-        first.
+        Tolerance with which all errors will be compared. The errors of the states have their own
+        tolerances, `state_error` and `final_miss` of `allowance`. They are scaled for a comparison
+        with `tolerance`. The costs of misplaced control switches count only if all other errors are
+        below `tolerance`, so that coarse elements are refined first.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 
@@ -303,9 +311,9 @@ _LEAST_UNIT = 1e-4
 def _unit(solution: Solution) -> float:
     """Return the magnitude by which errors of the objective are divided, in the objective's unit.
 
-    The result is the largest of three numbers: the magnitude of the objective; min(1, s), for an
-    objective near zero; and 1e-4 s. Here s is the inverse of the factor by which the objective is
-    multiplied in the scaled nonlinear program.
+    The result is the largest of three numbers: the magnitude of the objective, min(1, s), and 1e-4
+    s. Here s is the inverse of the objective's factor in the scaled nonlinear program. The last two
+    numbers matter for an objective near zero.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -329,6 +337,8 @@ def _gap(solution: Solution) -> float:
 class _Samples:
     """Variables and path equations of a solution at n sample times between collocation points.
 
+    The samples are ordered by element.
+
     Attributes
     ----------
     variables : ndarray, shape (n, n_variables)
@@ -336,14 +346,13 @@ class _Samples:
         (derivatives of the states with respect to the fraction of the horizon), states, algebraic
         variables and static variables.
     data : ndarray, shape (n, n_data)
-        What the path equations need besides the variables, at each sample time: the sample time as
-        a fraction of the horizon, and the values of the model's parameters.
+        Other arguments of the path equations at each sample time: the time as a fraction of the
+        horizon, and the values of the model's parameters.
     rows : ndarray, shape (n, n_expressions)
-        Values of the model's expressions over time at each sample time: first the body of every
-        path equation and path inequality (one column each), then every integrand.
+        Values of the model's expressions at each sample time. First are the bodies of the path
+        equations and path inequalities, one column each. Then follow the integrands.
     first_of_element : ndarray of int, shape (n_elements,)
-        The samples are ordered by element. Position of the first sample of each element, from 0 to
-        n - 1.
+        Position of the first sample of each element, from 0 to n - 1.
     """
 
     variables: FloatArray
@@ -356,9 +365,9 @@ class _Samples:
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
     """Return points and weights of a quadrature rule that is finer than the collocation points.
 
-    `degree` is the degree of the element. The element, from 0 to 1, is divided into four panels of
-    equal width. Each panel has the points of a Gauss rule with degree + 1 points. The element's
-    right end is added as the last point, with weight 0.
+    `degree` is the degree of the element. The element goes from 0 to 1, and is divided into four
+    panels of equal width. Each panel has a Gauss rule with degree + 1 points. The element's right
+    end is added as the last point, with weight 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
@@ -387,10 +396,10 @@ def _dense_places(degree: int) -> FloatArray:
 
 
 def _finer_places(degree: int) -> FloatArray:
-    """Return the Radau points of the next higher degree in an element that goes from 0 to 1.
+    """Return the Radau points of degree `degree` + 1 in an element that goes from 0 to 1.
 
-    The states are re-integrated at these points to estimate their errors. `degree` is the degree of
-    the element.
+    `degree` is the degree of the element. The states are integrated again with these points to
+    estimate their errors.
     """
     return radau_rule(degree + 1).points
 
@@ -398,9 +407,8 @@ def _finer_places(degree: int) -> FloatArray:
 def _panelled_places(degree: int) -> FloatArray:
     """Return the points of the finer quadrature rule in an element that goes from 0 to 1.
 
-    The finer rule divides the element into panels, each with the points of a Gauss rule. Integrals
-    are recomputed with the finer rule to estimate the errors of their quadrature. `degree` is the
-    degree of the element.
+    The finer rule divides the element into panels with a Gauss rule on each panel. It serves to
+    estimate the errors of integrals. `degree` is the degree of the element.
     """
     return _panelled(degree)[0]
 
@@ -408,12 +416,12 @@ def _panelled_places(degree: int) -> FloatArray:
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the state errors if algebraic variables between the points follow their polynomials.
 
-    Between the collocation points, an algebraic variable that an equation defines has two values:
-    the value of its polynomial, and the value from the equation. An example is r, which the second
-    of the equations ``x' = r`` and ``f = r + r^3`` defines. `estimate_error` takes the value from
-    the equation; its estimate may then be small although the polynomial is inaccurate. This
-    function takes the value of the polynomial, so that its result also shows the inaccuracy of the
-    polynomial.
+    An equation may define an algebraic variable. For example, ``f = r + r^3`` defines r if ``x' =
+    r`` is the differential equation. Between the collocation points the variable then has two
+    values: the value of its polynomial, and the value from the equation. `estimate_error` takes the
+    value from the equation. Its estimate may be small although the polynomial is inaccurate. This
+    function takes the value of the polynomial. Its result therefore also shows the inaccuracy of
+    the polynomial.
 
     Returns
     -------
@@ -435,11 +443,11 @@ def _sampled(
     solution : Solution
         Solution whose polynomials and parameters give the arguments of the equations.
     *grids : callable
-        Degree of an element -> sample times in the element, as numbers from 0 (start of the
-        element) to 1 (end), of which the last is 1.
+        Degree of an element -> sample times in the element. The times are numbers from 0 (start of
+        the element) to 1 (end); the last time is 1.
     is_defined : bool, default True
-        Whether an algebraic variable that an equation defines takes its value from the equation;
-        else from its polynomial.
+        Whether the value of an algebraic variable that an equation defines comes from this
+        equation. If False, the value comes from the variable's polynomial.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     places = [grid(d) for grid in grids for d in mesh.degrees]
@@ -484,10 +492,17 @@ def _clipped(
 ) -> _Samples:
     """Return samples in which each control outside its limits is set to the limit.
 
-    `samples` has the variables of a solution at many times. In the result, the path equations of
-    `program` are evaluated with the clipped controls. `limits` are lower and upper limits of the
-    algebraic variables, shape (n_algebraics,) each; a variable that is no control has infinite
-    limits.
+    The path equations are evaluated again with the clipped controls.
+
+    Parameters
+    ----------
+    program : Transcription
+        Nonlinear program with the path equations.
+    samples : _Samples
+        Variables of a solution at many times.
+    limits : (ndarray, ndarray), each of shape (n_algebraics,)
+        Lower and upper limits of the algebraic variables; infinite for a variable that is no
+        control.
     """
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
@@ -501,23 +516,22 @@ def _clipped(
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
     """Return the errors of the states in each element, as integrals of the errors of their rates.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon. In each
-    element, the errors are integrated from the left end of the element, where the error is taken as
-    zero.
+    Rates are the derivatives of the states with respect to the fraction of the horizon. The
+    integration begins with an error of zero at the left end of each element.
 
     Parameters
     ----------
     solution : Solution
         Solution whose mesh has the elements.
     slopes : ndarray, shape (sum of (degree + 1) over the elements, n_states)
-        Errors of the rates: the changes of the rates after which the rates satisfy the differential
-        equations. They are given at the Radau points of the next higher degree in each element.
+        Errors of the rates, at the Radau points of the next higher degree in each element. With
+        these changes, the rates satisfy the differential equations.
 
     Returns
     -------
     list of ndarray, shape (degree + 1, n_states)
-        For each element, the errors of the states at the same Radau points. The last of these
-        points is the element's right end.
+        For each element, the errors of the states at the Radau points of the next higher degree.
+        The last point is the element's right end.
     """
     mesh, first, moved = solution.mesh, 0, []
     for e, degree in enumerate(mesh.degrees):
@@ -532,17 +546,16 @@ def _clipping_corrections(
 ) -> dict[int, FloatArray]:
     """Return, by element, the change of the states if controls are clipped to their limits.
 
-    A control of the solution may exceed its limits between the collocation points; in a simulation
-    it is set to the limit there. A control that is clipped in a part of an element is not a
-    polynomial. The change of the rates by clipping is therefore integrated over the dense samples
-    by the trapezoidal rule, which overestimates a peak at an element's end.
+    A control of the solution may exceed its limits between the collocation points, where a
+    simulation sets it to the limit. Clipping changes the rates. The change of the rates is
+    integrated over the dense samples by the trapezoidal rule, because a clipped control is no
+    polynomial. This rule overestimates a peak at an element's end.
 
     Parameters
     ----------
     solution : Solution
     free, clipped : _Samples
-        Dense samples of the solution: `free` with the controls as they are, `clipped` with each
-        control set to its limit where it exceeds the limit.
+        Dense samples of the solution, with the controls as they are and with clipped controls.
     is_clipped : ndarray of bool, shape (n_elements,)
         Whether a control is clipped in the element.
 
@@ -567,9 +580,8 @@ def _clipping_corrections(
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the largest error of each state in each element, relative to the state's magnitude.
 
-    `moved` has the errors of the states in each element, from `_state_corrections`: an array of
-    shape (degree + 1, n_states) per element, with one row per Radau point. The result has shape
-    (n_elements, n_states).
+    `moved` has one array per element from `_state_corrections`: the errors of the states, with one
+    row per Radau point and one column per state. The result has shape (n_elements, n_states).
     """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
@@ -588,10 +600,11 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
     The errors of the states at the element's end are multiplied by the costates there. The effect
-    is relative to the objective's nominal magnitude. It is extrapolated to the whole horizon: the
-    effect of the element times the number of elements, but at most the sum over all elements.
-    `moved` has the errors of the states in each element, from `_state_corrections`: an array of
-    shape (degree + 1, n_states), whose last row belongs to the element's end.
+    is divided by the nominal magnitude of the objective. It is then extrapolated to the whole
+    horizon: it is multiplied by the number of elements, but is at most the sum over all elements.
+
+    `moved` has one array per element from `_state_corrections`: the errors of the states, shape
+    (degree + 1, n_states). The last row belongs to the element's end.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -604,12 +617,13 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 def _restraints(solution: Solution) -> FloatArray:
     """Return the cost of the bounds that are imposed between the collocation points.
 
-    The cost is the increase of the objective by these bounds, estimated element by element, shape
-    (n_elements,). It is divided by the nominal magnitude of the objective, and extrapolated to the
-    whole horizon: the cost of the element times the number of elements, but at most the sum over
-    all elements. This cost may use up half of the tolerance only. It is therefore also divided by
-    0.5, so that the result can be compared with the whole tolerance. It is zero if no bounds are
-    imposed between the points.
+    The cost is the increase of the objective by these bounds, divided by the nominal magnitude of
+    the objective. The result has one entry per element, shape (n_elements,), or is zero if no
+    bounds are imposed between the points. Each entry is extrapolated to the whole horizon: it is
+    multiplied by the number of elements, but is at most the sum over all elements.
+
+    The cost may use up only half of the tolerance. It is therefore doubled, so that the result can
+    be compared with the whole tolerance.
     """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
@@ -619,10 +633,11 @@ def _restraints(solution: Solution) -> FloatArray:
 def _of_all(shares: FloatArray) -> FloatArray:
     """Extrapolate the error of each element to the whole horizon, for errors that add up.
 
-    `shares` are the errors of the elements, with one entry per element along the first axis; the
-    result has the same shape. The result for an element is its error times the number of elements,
-    but at most the sum of the errors of all elements. It can be compared with the tolerance for the
-    whole horizon.
+    The result for an element is its error times the number of elements, but at most the sum of the
+    errors of all elements. It can be compared with the tolerance for the whole horizon.
+
+    `shares` are the errors of the elements, with one entry per element along the first axis. The
+    result has the shape of `shares`.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -631,13 +646,13 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
     The quadrature error is the difference between the quadrature at the collocation points and a
-    finer quadrature rule. The errors of the objective and of all integrals are considered. The
-    error of the objective is divided by the nominal magnitude of the objective, and the error of an
-    integral by max(1, abs(integral)). Each error is extrapolated to the whole horizon: the error of
-    the element times the number of elements, but at most the sum over all elements.
+    finer quadrature. The objective and all integrals are considered. The error of the objective is
+    divided by the nominal magnitude of the objective, and the error of an integral by max(1,
+    abs(integral)). Each error is extrapolated to the whole horizon: it is multiplied by the number
+    of elements, but is at most the sum over all elements.
 
     `solution` is the solution on one mesh. `samples` has the integrands at the points of the finer
-    rule: a Gauss rule on four panels of each element, from the function `_panelled`.
+    quadrature: a Gauss rule on four panels of each element, from the function `_panelled`.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -659,10 +674,10 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
     """Return the values of all integrands at sample times, shape (n_samples, n_integrals).
 
-    `samples` has the variables of a solution at these times, and `program` its nonlinear program.
-    If an integrand is not finite at any sample, all integrands are evaluated again with the
-    variables clipped to their limits, because the integrand may be undefined outside them. A value
-    that is still undefined is returned as infinite.
+    `samples` has the variables of a solution at the sample times. `program` is the nonlinear
+    program of the solution. An integrand may be undefined where a variable is outside its limits.
+    If any value is not finite, all integrands are therefore evaluated again with the variables
+    clipped to their limits. A value that is still undefined is returned as infinite.
     """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
@@ -681,14 +696,23 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
     """Assign the error of the final states to the elements, for the choice of the next mesh.
 
-    The result has shape (n_elements,).
-
     Only the final state with the largest error counts. The element that contributes most to this
-    error is assigned the whole error. Every other element is assigned a part of the error, in
-    proportion to the element's contribution. The errors are multiplied by `weight`, the tolerance
-    divided by the allowed error of the final states; a weight of 0 means that any error is allowed.
-    `moved` has the errors of the states in each element, from `_state_corrections`: an array of
-    shape (degree + 1, n_states), whose last row belongs to the element's end.
+    error is assigned the whole error. Any other element is assigned a smaller part, in proportion
+    to its contribution.
+
+    Parameters
+    ----------
+    solution : Solution
+    moved : list of ndarray, shape (degree + 1, n_states)
+        Errors of the states in each element, from `_state_corrections`. The last row belongs to the
+        element's end.
+    weight : float
+        Factor on the result: the tolerance divided by the allowed error of the final states. It is
+        0 if any error is allowed.
+
+    Returns
+    -------
+    ndarray, shape (n_elements,)
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -702,17 +726,28 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    The measure of a violation depends on its kind. For an equation, it is the relative residual,
-    times `weight`. For a bound or limit on controls alone, it is the change of states that the
-    violation causes within the element. For any other limit, it is the effect on the objective,
-    estimated from the multipliers of the bounds on states. If the violation of a limit exceeds its
-    tolerance in `allowance`, the violation itself counts.
+    The measure of a violation depends on its kind:
 
-    `allowance` has two such tolerances: `control_breach` for limits on controls alone, and
-    `limit_breach` for all other limits. `samples` has the variables of `solution` at many times in
-    each element. If `control_breach` is finite, controls in the samples are clipped to their
-    limits. `weight` is 1 unless `allowance` sets a tolerance on the states; a large tolerance on
-    the states gives a small weight, so that large residuals of equations are allowed too.
+    - For an equation, the measure is the relative residual, times `weight`.
+    - For a limit on controls alone, the measure is the change of states by the violation within the
+    element.
+    - For any other limit, the measure is the effect of the violation on the objective, estimated
+    from the multipliers of the bounds on states.
+
+    If a limit is violated by more than its tolerance, the measure is the violation itself.
+
+    Parameters
+    ----------
+    solution : Solution
+    samples : _Samples
+        Variables of `solution` at many times in each element. Controls are clipped to their limits
+        if `control_breach` is finite.
+    allowance : Allowance
+        Tolerances: `control_breach` for limits on controls alone, `limit_breach` for all other
+        limits.
+    weight : float
+        1 unless `allowance` sets a tolerance on the states. A large tolerance on the states gives a
+        small weight, so that large residuals are allowed too.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -729,9 +764,9 @@ def _breaches(
 def _prices(solution: Solution) -> FloatArray:
     """Return for each element the sum of the multipliers of all bounds on states.
 
-    The multiplier of a bound is the change of the objective per unit of the bound. `_breaches`
-    multiplies the violation of limits by the sum, to estimate the effect on the objective. The
-    result has shape (n_elements,).
+    A multiplier is the change of the objective per unit of a bound. The sum times the violation of
+    a limit is therefore an estimate of the effect on the objective. The result has shape
+    (n_elements,).
     """
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]
@@ -742,8 +777,8 @@ def _prices(solution: Solution) -> FloatArray:
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
     """Return the worst relative violations of equations and limits at each sample.
 
-    A violation is positive, or zero where an equation or limit is satisfied. It is relative to
-    max(1, abs(bound)).
+    A violation is relative to max(1, abs(bound)). It is zero where an equation or limit is
+    satisfied, and positive elsewhere.
 
     Parameters
     ----------

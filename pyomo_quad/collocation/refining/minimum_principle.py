@@ -3,13 +3,13 @@
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
 At the solution of a nonlinear program, small changes of a control gain nothing. Large changes may
-gain nevertheless if the Hamiltonian has two local minima: a switch of the control between the
-minima then stays at the time at which the solve on the first mesh placed it. A finer mesh does not
+gain if the Hamiltonian has two local minima. The control should switch between the minima at the
+best time, but the switch stays where the solve on the first mesh placed it. A finer mesh does not
 reveal the error, but Pontryagin's principle does.
 
 On a singular arc the objective is flat about its optimum: it hardly depends on the states. The
-states may then be inaccurate although the error of the objective is small. This inaccuracy is
-estimated from the order of the singular arc.
+states may then be inaccurate although the error of the objective is small. The inaccuracy of the
+states is estimated from the order of the singular arc.
 """
 
 from __future__ import annotations
@@ -48,8 +48,8 @@ _KEPT = 1e-9
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     """Return a solution with controls that minimise the Hamiltonian, if they gain enough.
 
-    Each control is changed alone, and at every collocation point separately, with states and
-    costates unchanged. The gain is the decrease of the Hamiltonian, integrated over the horizon.
+    Only one control is changed at each collocation point. States and costates are unchanged. The
+    gain is the decrease of the Hamiltonian, integrated over the horizon.
 
     Parameters
     ----------
@@ -107,9 +107,9 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    `improved_controls` searches these values for the least Hamiltonian at each point. The trial
-    values at a point are a grid between the bounds of the control, and then the minima of parabolas
-    through three neighbouring values of the grid.
+    The trial values at a point are first a grid between the bounds of the control. The minima of
+    parabolas through three neighbouring values of the grid follow. `improved_controls` looks for
+    the least Hamiltonian among the trial values.
 
     Parameters
     ----------
@@ -141,13 +141,14 @@ def _valleys(
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
     """Return the free controls for which the Hamiltonian may have several local minima.
 
-    A free control is a bounded algebraic variable that appears in no algebraic equation, so that it
-    can be changed alone. Somewhere between two minima, the second derivative of the Hamiltonian
-    with respect to the control is negative. This second derivative is evaluated at several values
-    between the control's bounds, at all collocation points. The control is included if the second
-    derivative is negative at any of these values. If the coefficient of a state's rate (time
-    derivative) in an equation depends on the control, the sign of the second derivative shows
-    nothing; such a control is always included.
+    A free control is a bounded algebraic variable that appears in no algebraic equation. It can
+    therefore be changed alone. Between two minima, the second derivative of the Hamiltonian with
+    respect to the control is somewhere negative. The second derivative is evaluated at all
+    collocation points, for several values between the bounds of the control. A control is included
+    if any result is negative.
+
+    An equation may contain a state's rate (time derivative) times a function of a control. The
+    second derivative then shows nothing, and the control is always included.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def _free_controls(
 ) -> NDArray[np.intp]:
     """Return the positions of bounded algebraic variables that appear in no algebraic equation.
 
-    A change of such a variable requires no change of another algebraic variable. `lower` and
+    Such a variable can be changed without a change of other algebraic variables. `lower` and
     `upper` are the bounds of the algebraic variables, shape (n_points, n_algebraics).
     """
     compiled, n = program.compiled, program.layout.n_states
@@ -201,10 +202,11 @@ def _free_controls(
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     """Return the Hamiltonian at the collocation points, to compare different controls at a point.
 
-    At each point a constant that does not depend on the controls is omitted. The result has shape
-    (n_points,). It is infinite at points at which a path inequality is violated. `variables` holds
-    rates, states, algebraic and static variables, one row per collocation point. The costates are
-    those of `solution`.
+    A constant is omitted at each point, because it does not depend on the controls. The Hamiltonian
+    is infinite at points at which a path inequality is violated. The result has shape (n_points,).
+
+    `variables` holds rates, states, algebraic and static variables, one row per collocation point.
+    `solution` gives the costates.
     """
     program = solution.program
     compiled, count = program.compiled, len(variables)
@@ -243,24 +245,19 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The estimate is the largest of three numbers.
+    The estimate is the largest of the following numbers. The last three count only if `before` is
+    given, because the mesh then restricts the times at which limits become active or inactive.
 
-    The first is the largest estimated error of the solution or, if that is larger, twice the sum
-    over all elements of the errors of a state. The factor of two allows for the unknown error of
-    the controls.
-
-    The second applies to a singular arc, where only the objective determines the control. The
-    objective is flat about its optimum, so that a small error of the objective allows a large error
-    of the states. The number is that error of the states: proportional to a root of the largest
-    relative error or, if that is larger, of `change`.
-
-    The third applies if limits become active or inactive inside elements, because the mesh then
-    restricts the times of these changes. It is the largest of the following effects:
-
-    - the violation of limits;
-    - the change of the states if a control jumps at another time within an element with a single
-      collocation point (the refinement cuts such narrow elements around jumps);
-    - the change of the states since the previous mesh, unless there is a singular arc.
+    - The largest estimated error of the solution.
+    - Twice the sum over all elements of the errors of a state. The factor of two allows for the
+    unknown error of the controls.
+    - On a singular arc: the error of the states that a small error of the objective allows, because
+    the objective is flat about its optimum. It is proportional to a root of the largest relative
+    error, or of `change` if `change` is larger.
+    - The violation of limits.
+    - The change of the states if a control jumps at another time within a narrow element. Narrow
+    elements have a single collocation point; the refinement cuts them around jumps.
+    - Without a singular arc: the change of the states since the previous mesh.
 
     Parameters
     ----------
@@ -305,14 +302,14 @@ def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc of a solution: 0 (no singular arc), 1, or 2 (2 or higher).
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
-    control. This curvature is taken with the states unchanged: with the control, only those rates
-    (derivatives of the states) and algebraic variables change that the equations require to change.
-    The arc is of order 1 if the Hamiltonian has curvature in the direction in which the control
-    drives the states (Robbins 1967; Kelley, Kopp and Moyer 1967).
+    control. The states are held for this curvature. Rates (derivatives of the states) and other
+    algebraic variables change with the control as the equations require. The arc is of order 1 if
+    the Hamiltonian has curvature in the direction in which the control drives the states (Robbins
+    1967; Kelley, Kopp and Moyer 1967).
 
-    Two kinds of collocation points are not examined. At points at which a bound of a state or a
-    path inequality is active, this limit determines the control. Elements with a single collocation
-    point are left out because the refinement cuts such elements around jumps of controls.
+    Two kinds of collocation points are not examined. At some points a bound of a state or a path
+    inequality is active, which determines the control. Other points are alone in their element; the
+    refinement cuts such elements around jumps of controls.
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics
@@ -350,9 +347,9 @@ def singular_order(solution: Solution) -> int:
 def _barriers(solution: Solution) -> FloatArray:
     """Return the second derivative of Ipopt's barrier function with respect to each variable.
 
-    The variables are the algebraic variables at the collocation points; the barrier function keeps
-    them between their bounds. The result has shape (n_points, n_algebraics); each row is divided by
-    the quadrature weight of its collocation point.
+    The variables are the algebraic variables at the collocation points. The barrier function keeps
+    them between their bounds. The second derivative is divided by the quadrature weight of the
+    collocation point. The result has shape (n_points, n_algebraics).
     """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
@@ -365,8 +362,8 @@ def _is_between(solution: Solution) -> NDArray[np.bool_]:
     """Return whether a control may be singular at each collocation point, shape (n_points,).
 
     A control may be singular at a point where no path inequality and no bound of a state is active.
-    Points of elements with a single collocation point are excluded, because the refinement cuts
-    such elements around jumps of controls.
+    Elements with a single collocation point are excluded, because the refinement cuts such elements
+    around jumps of controls.
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics
@@ -382,11 +379,10 @@ def _free_directions(
 ) -> FloatArray:
     """Return a basis of the changes of rates and controls that keep all equations satisfied.
 
-    At each collocation point, the states are held, and the rates (derivatives of the states with
-    respect to the fraction of the horizon) and the algebraic variables change together. To first
-    order, the changes that the linearised equations allow form a linear space: the null space of
-    the equations' Jacobian. `singular_order` evaluates the curvature of the Hamiltonian in this
-    space.
+    Rates are the derivatives of the states with respect to the fraction of the horizon. At each
+    collocation point, the states are held, and the rates and algebraic variables change. To first
+    order, the changes that keep the equations satisfied form a linear space, the null space of the
+    equations' Jacobian. `singular_order` evaluates the curvature of the Hamiltonian in this space.
 
     Parameters
     ----------

@@ -69,17 +69,17 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    If limits become active or inactive inside an element, or controls are damped, the change of the
-    objective since the previous mesh must also be at most half the tolerance. Controls are damped
-    if the objective contains a penalty on their distance from the smoothed controls of the previous
-    mesh.
+    A second condition applies if limits become active or inactive inside an element, or if controls
+    are damped: the objective must have changed by at most half the tolerance since the previous
+    mesh. Controls are damped if the objective contains a penalty on their distance from the
+    smoothed controls of the previous mesh.
 
     Parameters
     ----------
     solve : callable
-        (meshes, start, dampings, change=, iteration_limit=) -> solution. `meshes` and `dampings`
-        have one item for each horizon: its mesh, and its penalty on the distance of controls (None
-        without penalty). `start` is the guess or warm start. `change` is the expected change of the
+        (meshes, start, dampings, change=, iteration_limit=) -> solution. `meshes` has one mesh for
+        each horizon. `dampings` has the penalty on the distance of controls for each horizon, None
+        without penalty. `start` is the guess or warm start. `change` is the expected change of the
         objective, None if it is unknown. `iteration_limit` is the largest number of Ipopt's
         iterations.
     meshes : tuple of Mesh
@@ -90,16 +90,15 @@ def refine(
     start : Start
         Guess or warm start of the first solve.
     past_the_barrier : callable, optional
-        (dampings, solution) -> a solution on the same meshes with a smaller complementarity gap
-        (the error that Ipopt's barrier leaves in the objective). `dampings` is as for `solve`.
+        (dampings, solution) -> solution on the same meshes with a smaller complementarity gap. The
+        gap is the error that Ipopt's barrier leaves in the objective. `dampings` is as for `solve`.
 
     Returns
     -------
     Solution or JointSolution
-        The last solution, or an earlier solution. The earlier solution is returned if the
-        refinement was restarted from controls that are better by Pontryagin's principle, but the
-        restart did not improve the solution. The status of the result is `converged`; or
-        `tolerance_not_met`, with the reason in the message; or the status of the solve that failed.
+        The last solution. An earlier solution is returned if a restart from better controls (by
+        Pontryagin's principle) did not improve it. The status is `converged`, or
+        `tolerance_not_met` with the reason in the message, or the status of the solve that failed.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -116,35 +115,37 @@ def refine(
 class _Refinement(Generic[S]):
     """Mesh refinement in progress: the next meshes with their start, and the previous results.
 
-    The function `refine` creates an instance, and calls `with_next_meshes` until the refinement
-    ends. Damping of controls is a penalty on their distance from the smoothed controls of the
-    previous mesh. The refinement is restarted if Pontryagin's principle shows that other controls
-    are better.
+    The function `refine` creates an object of this class. It calls `with_next_meshes` until the
+    refinement ends. Damping of controls is a penalty on their distance from the smoothed controls
+    of the previous mesh. The refinement is restarted if Pontryagin's principle shows that other
+    controls are better.
 
     Attributes
     ----------
     solve : callable
         Argument `solve` of the function `refine`: it solves on given meshes.
     sharpen : callable, optional
-        Argument `past_the_barrier` of the function `refine`: it continues a solve until the
+        Argument `past_the_barrier` of the function `refine`. It continues a solve until the
         complementarity gap (the error that Ipopt's barrier leaves in the objective) is smaller.
     meshes : tuple of Mesh
         The next meshes, one for each horizon.
     tolerance : float
+        Required relative error.
     options : RefinementOptions
     start : Start
         Start of the next solve.
     before : tuple
         The previous solution on each horizon; None before the first solve.
-    records, tried : list
-        One `MeshRecord` per mesh, and the names of the solution strategies that were tried.
+    records : list of MeshRecord
+        One record per mesh.
+    tried : list of str
+        Names of the solution strategies that were tried.
     dampings : tuple
         Damping of the controls for each horizon; None for a horizon without damping.
     firmness : float
         Factor on the strength of the damping.
     settled : int
-        Number of meshes with damping on which the objective changed by less than half the
-        tolerance.
+        Number of meshes with damping on which the objective changed by at most half the tolerance.
     restarts : int
         Number of restarts from controls that are better by Pontryagin's principle.
     reached : _Reached, optional
@@ -197,10 +198,10 @@ class _Refinement(Generic[S]):
         return self._advanced(solution, errors) if solution.status is Status.CONVERGED else solution
 
     def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:
-        """Choose the meshes after a converged solution; return the final result if there are none.
+        """Choose the next meshes after a converged solution, or return the final solution.
 
-        `solution` is the converged solution on the present meshes, and `errors` has its estimated
-        errors, one for each horizon. The result is None if the refinement continues.
+        The result is None if the refinement continues. `solution` is the converged solution on the
+        present meshes. `errors` has its estimated errors, one item for each horizon.
         """
         error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
         if self.reached is not None:
@@ -243,9 +244,9 @@ class _Refinement(Generic[S]):
     def _recorded(self, solved: S, errors: tuple[ErrorEstimate, ...], **more: Any) -> S:
         """Add a solution to the history of the refinement, and pass it to the caller's callback.
 
-        `solved` is the solution, and `errors` has its estimated errors, one for each horizon. The
-        result is a copy of the solution. In the copy, the largest error and the history are stored
-        as attributes, and the attributes that `more` names have the values given in `more`.
+        `solved` is the solution. `errors` has its estimated errors, one item for each horizon. The
+        result is a copy of the solution, which stores the largest error and the history. Each
+        argument in `more` is set as an attribute of the copy.
         """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
@@ -258,9 +259,11 @@ class _Refinement(Generic[S]):
 
         `accepted` is the solution within tolerance on the present meshes. The result is None if the
         refinement was restarted. Otherwise it is the final solution: `accepted`, or the solution
-        before the previous restart if that is better. After a restart whose gain was below the
-        tolerance, no further restart is tried: the Hamiltonian of a singular control is so flat
-        that rounding alone would produce lower values again and again.
+        before the previous restart if that is better.
+
+        No further restart follows a restart that gained less than the tolerance. The Hamiltonian of
+        a singular control is so flat that rounding alone would produce lower values again and
+        again.
         """
         if self.reached is not None and self.reached.gain(accepted) <= self.tolerance:
             return self.reached.better(accepted)
@@ -287,19 +290,20 @@ class _Refinement(Generic[S]):
     ) -> None:
         """Prepare the next solve of the refinement, after a solution that is not accurate enough.
 
-        The warm start, the meshes and the damping of the next solve are stored in this object.
-        Damping is a penalty on the distance of controls that enter linearly from the smoothed
-        controls of the present solution. The penalty is increased if the present solve with damping
-        took many iterations, or if the objective has hardly changed on several meshes with damping.
+        Warm start, meshes and damping of the next solve are stored in this object. Damping is a
+        penalty on the distance between controls and the smoothed controls of the present solution.
+        It acts on controls that enter linearly. The penalty is increased if the present solve with
+        damping took many iterations, or if the objective has hardly changed on several meshes with
+        damping.
 
         Parameters
         ----------
         solution : Solution or JointSolution
             Solution on the present meshes, from which the next solve starts.
         errors : tuple of ErrorEstimate
-            Estimated errors of `solution`, one for each horizon. The complementarity gap (the error
-            that Ipopt's barrier leaves in the objective) of the next solve may depend on these
-            errors.
+            Estimated errors of `solution`, one for each horizon. They may determine the
+            complementarity gap of the next solve (the error that Ipopt's barrier leaves in the
+            objective).
         finer : tuple of Mesh
             The next meshes, one for each horizon.
         is_damped : bool
@@ -320,20 +324,24 @@ class _Refinement(Generic[S]):
     ) -> None:
         """Set warm start, meshes and previous solutions for the next solve of the refinement.
 
-        `warm` is the warm start: trajectory and multipliers from which the next solve begins.
-        `meshes` has the mesh and `before` the previous solution on each horizon; the previous
-        solution is None where there is none.
+        Parameters
+        ----------
+        warm : attribute `warm_start` of a solution
+            Trajectory and multipliers from which the next solve begins.
+        meshes : tuple of Mesh
+            The next meshes, one for each horizon.
+        before : tuple of Solution or None
+            The previous solution on each horizon; None where there is none.
         """
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
         """Return for each horizon the damping of the controls towards a given solution.
 
-        Damping is a penalty on the distance from the controls of the solution. `parts` has the
-        solutions, one for each horizon.
-
-        `how` has the keyword arguments `gap` (complementarity gap that the next solve leaves) and
-        `is_still` (whether the objective hardly changes any more) of the function `damping_of`.
+        Damping is a penalty on the distance from the smoothed controls of the solution. `parts` has
+        the solution on each horizon. `how` has keyword arguments of the function `damping_of`:
+        `gap`, the complementarity gap that the next solve leaves, and `is_still`, whether the
+        objective hardly changes any more.
         """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
@@ -342,11 +350,13 @@ class _Refinement(Generic[S]):
         """Return a solution and its estimated errors, with a smaller complementarity gap if needed.
 
         The gap is the error that Ipopt's barrier leaves in the objective. `solved` is a solution on
-        the present meshes. If its gap is the largest error, the solve is continued until the gap is
-        smaller, and the new solution is returned instead. A solve with damping may leave a gap on
-        purpose, which solves on later meshes reduce. Such a gap is therefore reduced on the present
-        mesh only if all other errors meet the tolerance. The errors in the result are one estimate
-        for each horizon.
+        the present meshes. If the gap is its largest error, the solve is continued until the gap is
+        smaller. The result is then the new solution.
+
+        A solve with damping may leave a gap on purpose, which solves on later meshes reduce. A gap
+        left on purpose is reduced on the present mesh only if all other errors meet the tolerance.
+
+        The errors in the result have one item for each horizon.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -359,9 +369,9 @@ class _Refinement(Generic[S]):
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
         """Return the error estimate of a solution on each horizon.
 
-        With several horizons, the complementarity gap (the error that Ipopt's barrier leaves in the
-        objective) is set to 0 in each estimate, because the gap is a property of all horizons
-        together.
+        With several horizons, the complementarity gap is set to 0 in each estimate, because the gap
+        is a property of all horizons together. The gap is the error that Ipopt's barrier leaves in
+        the objective.
 
         `solution` is a solution for all horizons.
         """
@@ -373,9 +383,11 @@ class _Refinement(Generic[S]):
         """Return a copy of a solution with its attribute `state_error` set.
 
         The state error of a horizon is the estimated distance of the states from the optimal
-        states, relative to the magnitudes of the states. The attribute is set to the largest state
-        error of all horizons. `solution` is the solution to be copied. The state errors are
-        computed from `errors`, the error estimates of the solution, one for each horizon.
+        states, relative to the magnitudes of the states. The attribute is the largest state error
+        of all horizons.
+
+        `solution` is the solution to be copied. `errors` has its error estimates, one for each
+        horizon. The state errors are computed from these estimates.
         """
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
@@ -391,13 +403,16 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        The refinement may end if all errors meet the tolerance. A further condition applies if
+        The refinement may end if all errors meet the tolerance. A second condition applies if
         limits become active or inactive in or beside elements, or if controls are damped (penalised
-        for their distance from the controls of the previous mesh). The relative change of the
-        objective since the previous mesh must then be at most half the tolerance. This condition is
-        dropped if a later simulation corrects the controls by feedback, or if the next meshes would
-        be the same as the present ones and no controls are damped. With damping, the next meshes
-        may be the same as the present ones.
+        for their distance from the controls of the previous mesh). The objective must then have
+        changed by at most half the tolerance since the previous mesh. The second condition is
+        dropped in two cases:
+
+        - a later simulation corrects the controls by feedback;
+        - no controls are damped, and the next meshes would be the present meshes.
+
+        With damping, the next meshes may be the present meshes.
 
         Parameters
         ----------
@@ -433,17 +448,16 @@ class _Refinement(Generic[S]):
     def _has_settled(self, solution: Outcome) -> bool:
         """Return whether the objective has changed little since the previous mesh.
 
-        The result is true if the relative difference between the objective of `solution`, the
-        solution on the present mesh, and the objective on the previous mesh is at most half the
-        tolerance of the refinement.
+        The result is true if the relative change is at most half the tolerance of the refinement.
+        `solution` is the solution on the present mesh, and holds the history of the objective.
         """
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
 
     def _given_up(self, solution: S, error: float) -> S:
         """Return a solution whose status and message state that the tolerance was not met.
 
-        `solution` is the last solution, and `error` the estimated error that was reached. The
-        message gives the reason why the refinement stops, and advice.
+        `solution` is the last solution, and `error` is its estimated error. The message gives the
+        reason why the refinement stops, and advice.
         """
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
@@ -464,8 +478,8 @@ class _Refinement(Generic[S]):
     def _shown(self, solution: S) -> S:
         """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
 
-        `solution` is the solution on the present meshes; a solution that has not converged is
-        returned without a call. If the callback returns False, the returned solution has the status
+        `solution` is the solution on the present meshes. If it has not converged, it is returned
+        without a call. If the callback returns False, the returned solution has the status
         interrupted.
         """
         is_finished = solution.status is Status.CONVERGED
@@ -476,9 +490,9 @@ class _Refinement(Generic[S]):
     def _expected_change(self) -> float | None:
         """Return the expected change of the objective from the present meshes to the next ones.
 
-        The estimate is the change of the objective by the last solve: the difference between the
-        present meshes and the meshes before them, in the unit of the objective. The result is None
-        if this difference is unknown, as on the first mesh and directly after a restart.
+        The expected change is the previous change of the objective, in the unit of the objective.
+        The result is None if the previous change is unknown, as on the first mesh and directly
+        after a restart.
         """
         last = self.before[0]
         if last is None:
@@ -489,16 +503,17 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The complementarity gap is the amount by which Ipopt's barrier changes the objective. The
-        relative gap is this amount divided by the objective. `solution` is the solution on the
-        present meshes. `errors` has one item for each horizon, the estimated errors of `solution`.
+        The complementarity gap is the amount by which Ipopt's barrier changes the objective, here
+        divided by the objective. The result is 0.3 times the relative error of objective and
+        integrals, but at least 0.2 times the tolerance and at most 1e-3. If bounds are imposed
+        between the collocation points, the relative change of the objective since the previous mesh
+        is also considered. The larger of error and change then takes the place of the error.
 
-        The result is 0.3 times the relative error of objective and integrals that `errors` states,
-        but at least 0.2 times the tolerance and at most 1e-3. If bounds are imposed between the
-        collocation points, and the objective has changed since the previous mesh by a larger
-        relative amount than that error, the result is computed from the change instead of the
-        error. A smaller complementarity gap is not useful while the times at which limits become
-        active change from mesh to mesh.
+        A smaller gap is not useful while the times at which limits become active change from mesh
+        to mesh.
+
+        `solution` is the solution on the present meshes. `errors` has its estimated errors, one
+        item for each horizon.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -510,11 +525,13 @@ class _Refinement(Generic[S]):
 def _firmer(firmness: float, settled: int) -> float:
     """Return an increased factor on the penalty on changes of the controls between meshes.
 
-    The penalty, called damping, keeps the controls near those of the previous mesh. `firmness` is
-    the present factor on the penalty, and `settled` is the number of meshes on which the objective
-    hardly changed. The result is 5 times `firmness`, but at most 25. If `settled` is at least 4,
-    the upper limit is 125 instead of 25; if `settled` is at least 8, there is no upper limit. If
-    `firmness` already exceeds the upper limit, the result is `firmness`.
+    The penalty, called damping, keeps the controls near the controls of the previous mesh.
+    `firmness` is the present factor on the penalty. `settled` is the number of meshes on which the
+    objective hardly changed.
+
+    The result is 5 times `firmness`, but at most 25. The upper limit is 125 if `settled` is 4 to 7,
+    and infinite if `settled` is 8 or more. If `firmness` already exceeds the upper limit, the
+    result is `firmness`.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -525,17 +542,17 @@ def _firmer(firmness: float, settled: int) -> float:
 class _MeshSolve(Search[S], Generic[S]):
     """Search for the solution on the next meshes of a refinement.
 
-    The table `STRATEGIES` in the module `strategies` lists the ways in which a solve may be tried.
-    The search tries those that the table gives for a further mesh of a refinement, in the order of
-    the table. Controls may be damped in a solve: a penalty keeps them near the controls on the
-    previous mesh.
+    A solve may be tried in several ways, the strategies. The table `STRATEGIES` in the module
+    `strategies` lists them. The search tries the strategies for a further mesh of a refinement, in
+    the order of the table. Controls may be damped in a solve: a penalty keeps them near the
+    controls on the previous mesh.
 
     Attributes
     ----------
     solve : callable
         Function that solves on given meshes: (meshes, start, dampings, change=, iteration_limit=)
-        -> solution. The first four arguments have the meanings of the attributes of the same name.
-        The argument `iteration_limit` is the largest number of Ipopt's iterations.
+        -> solution. The first four arguments are explained below. The argument `iteration_limit` is
+        the largest number of Ipopt's iterations.
     meshes : tuple of Mesh
         The next meshes, one for each horizon.
     start : Start
@@ -543,11 +560,11 @@ class _MeshSolve(Search[S], Generic[S]):
     dampings : tuple
         Damping of the controls for each horizon; None for a horizon without damping.
     change : float or None
-        Expected change of the objective from the previous meshes to the next; None if this change
-        is unknown.
+        Expected change of the objective from the previous meshes to the next; None if the change is
+        unknown.
     gap : float
-        Complementarity gap (error that Ipopt's barrier leaves in the objective), relative to the
-        objective, at which a solve with increased damping may stop.
+        Complementarity gap at which a solve with increased damping may stop, relative to the
+        objective. The gap is the error that Ipopt's barrier leaves in the objective.
     """
 
     solve: Callable[..., S]
@@ -560,11 +577,14 @@ class _MeshSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        `fact` is the condition, one of three: there is a warm start (`Fact.WARM_START`); the next
-        solution is expected near the previous solution (`Fact.KEPT_NEAR`); it is not expected near
-        the previous solution (`Fact.FREE`). The next solution is expected near the previous
-        solution if controls are damped, or if the expected change of the objective is known, so
-        that Ipopt starts with a small barrier parameter.
+        `fact` is one of three conditions:
+
+        - `Fact.WARM_START`: there is a warm start.
+        - `Fact.KEPT_NEAR`: the next solution is expected near the previous solution.
+        - `Fact.FREE`: the next solution is not expected near the previous solution.
+
+        The next solution is expected near the previous one if controls are damped, or if the
+        expected change of the objective is known. Ipopt then starts with a small barrier parameter.
         """
         is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
@@ -582,7 +602,7 @@ class _MeshSolve(Search[S], Generic[S]):
         strategy : Strategy
             Initial point of the solve, largest number of Ipopt's iterations, and whether the
             damping of the controls is increased. Damping is a penalty on the distance of the
-            controls from those on the previous mesh.
+            controls from the controls on the previous mesh.
 
         Returns
         -------
@@ -602,9 +622,9 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
     """Return dampings with which the next solve leaves at most a small complementarity gap.
 
     A damping is a penalty on changes of the controls from the previous mesh. It also prescribes the
-    complementarity gap (the error that Ipopt's barrier leaves in the objective) at which the solve
-    may stop. Each gap is reduced, if it is larger, to a fixed fraction of `tolerance` times the
-    magnitude of the objective.
+    complementarity gap at which the solve may stop. The gap is the error that Ipopt's barrier
+    leaves in the objective. In the result, each gap is at most a fixed fraction of `tolerance`
+    times the magnitude of the objective.
 
     `dampings` and the result have one item for each horizon, None for a horizon without damping.
     """
@@ -627,18 +647,25 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    `solution` is the solution, which has a single horizon. `errors` holds the error estimate of
-    `solution`. `tolerance` is the required relative error, and `fine` an upper limit on the errors
-    of the elements.
+    The result is true if three conditions hold:
 
-    The result is true if the solution has converged and two conditions hold. First, the error of
-    every element is at most `fine`. Two kinds of error are not counted in the error of an element,
-    because they are estimated only if all other errors meet the tolerance: the cost of control
-    switches at a wrong time (attribute `switches` of the error estimate), and the change of the
-    objective by state errors, relative to the objective's own magnitude (attribute `costs`).
-    Second, the complementarity gap (the amount by which Ipopt's barrier changes the objective,
-    relative to the objective) exceeds `tolerance`, or the scaled objective is so small that it has
-    no influence on Ipopt's convergence test.
+    - The solution has converged.
+    - The error of every element is at most `fine`. The attributes `switches` and `costs` of the
+    error estimate are not counted, because they are estimated only if all other errors meet the
+    tolerance.
+    - The relative complementarity gap (the amount by which Ipopt's barrier changes the objective)
+    exceeds `tolerance`, or the scaled objective is too small to influence Ipopt's convergence test.
+
+    Parameters
+    ----------
+    solution : Outcome
+        Solution with a single horizon.
+    errors : tuple of ErrorEstimate
+        The error estimate of `solution`, a single item.
+    tolerance : float
+        Required relative error.
+    fine : float
+        Upper limit on the errors of the elements.
     """
     (part,), (error,) = solution.parts, errors
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
@@ -660,15 +687,13 @@ class _Reached(Generic[S]):
     solution : Outcome
         The kept solution, found before the restart.
     shown : float, optional
-        Lower bound on the relative improvement of the objective by the restart. Relative means
-        divided by the nominal magnitude of the objective. Each solution that was found after the
-        restart gives a lower bound: (relative improvement of the objective from the kept solution
-        to the found solution) minus (estimated relative error of the found solution). `shown` is
-        the largest of these lower bounds. It is None before the first solution after the restart.
+        Lower bound on the improvement of the objective by the restart, relative to the nominal
+        magnitude of the objective. Each solution after the restart gives a lower bound: its
+        improvement on the kept solution minus its estimated error, both relative. `shown` is the
+        largest of these lower bounds. It is None before the first solution after the restart.
     earned : float
-        Relative improvement of the objective by the previous restart. It is the improvement from
-        the solution that was kept at the previous restart to the solution that is kept now. It is 0
-        if there was no previous restart.
+        Relative improvement of the objective by the previous restart, from the solution kept then
+        to the solution kept now. It is 0 if there was no previous restart.
     """
 
     solution: S
@@ -678,9 +703,8 @@ class _Reached(Generic[S]):
     def gain(self, other: S) -> float:
         """Return the improvement of the objective in another solution, relative to the objective.
 
-        The improvement is negative if the other solution is worse than the kept solution.
-
-        `other` is the other solution, found after the restart.
+        `other` is the other solution, found after the restart. The improvement is negative if
+        `other` is worse than the kept solution.
         """
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
