@@ -355,13 +355,13 @@ class BestOrder:
         Parameters
         ----------
         found : OrderSearch
-            The order of the waypoints. It was found from the costs of separate flights from one
-            place of the mission to the next, from hover to hover.
+            The order of the waypoints, and the costs of separate flights between the places of the
+            mission, from which the order was found.
 
         Returns
         -------
         str
-            The cost of the solution [J] or, if the solve failed, its status, in words.
+            The cost of the solution [J] in words, or the status of a failed solve.
         """
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved
@@ -372,12 +372,16 @@ class BestOrder:
     def finish(self, solve: Callable[[Scenario, Start | None, Search], Plan]) -> Plan:
         """Return the plan for the cheapest order of the waypoints, refined and verified.
 
-        The cheapest order is the order whose solution on a coarse mesh has the least cost. `solve`
-        is a function that solves a scenario and returns a verified plan. It is called with three
-        arguments: the scenario with its waypoints in the cheapest order; the initial guess, which
-        is made from the solution on the coarse mesh, or None if no solve on the coarse mesh
-        succeeded; and the `Search` object, the progress callback of all solves, which also has
-        their time limit.
+        The cheapest order is the order whose solution on a coarse mesh has the least cost.
+
+        Parameters
+        ----------
+        solve : callable
+            Function that solves a scenario and returns a verified plan. Its first argument is the
+            scenario, with the waypoints in the cheapest order. Its second argument is the initial
+            guess, made from the solution on the coarse mesh; None if every solve on the coarse mesh
+            failed. Its third argument is the `Search` object, with the progress callback and the
+            time limit.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
@@ -391,11 +395,18 @@ class BestOrder:
     def _leg(self, alone: Scenario, mesh: Mesh, route: Route | None) -> Solution:
         """Solve for the flight from one place of the mission to another, and return the solution.
 
-        The places are start, goal and waypoints of the mission. `alone` is the scenario of this
-        flight, without waypoints, and `mesh` is the collocation mesh of the solve. `route` is a
-        route round the keep-out zones, from which the initial guess is made. If `route` is None,
-        the solve starts from the model's own initial guess, a straight flight. (Starting from the
-        solution of another leg would not save iterations.)
+        The places are start, goal and waypoints of the mission.
+
+        Parameters
+        ----------
+        alone : Scenario
+            Scenario of this flight, without waypoints.
+        mesh : Mesh
+            Collocation mesh of the solve.
+        route : Route or None
+            Route round the keep-out zones, from which the initial guess is made. Without a route,
+            the initial guess is a straight flight. The solution of another flight would be no
+            better guess.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if route is not None:

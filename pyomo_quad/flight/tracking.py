@@ -4,9 +4,10 @@ Between its collocation points, the solution satisfies the equations of motion o
 If its controls are simulated in open loop, the flight therefore misses the goal: an error in the
 speed of a rotor grows into an error of position with the fourth power of time. This module
 simulates the equations while a linear-quadratic regulator keeps the vehicle near the solution. The
-resulting states and controls satisfy the equations to the tolerance of the integrator, and their
-energy is close to the energy of the solution. Derivation and sources: docs/theory/tracking.md, eqs.
-(1) to (4), (6) and (7).
+simulated states and controls satisfy the equations to the tolerance of the integrator. The energy
+of the simulated flight is close to the energy of the solution.
+
+Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 """
 
 from __future__ import annotations
@@ -78,15 +79,17 @@ _INTEGRATION, _LOST, _MOST_EVALUATIONS = 1e-10, 1e6, 5_000
 
 @dataclass(frozen=True, kw_only=True)
 class Demands:
-    """Changes of the path that a simulated vehicle follows, relative to a coarse solution.
+    """Demanded changes of the path that a simulated vehicle follows.
+
+    Without demands, the vehicle follows the path of a solution on a coarse mesh.
 
     Attributes
     ----------
     displacement : tuple of Push
-        Displacement of the path. It is the sum of pushes, each of which displaces the path by one
-        vector during a span of time.
+        Pushes of the path. Each push displaces the path by one vector during a span of time; the
+        pushes are added.
     rests : tuple of (float, float)
-        Start and end times of hovers at waypoints [s], during which the vehicle is to be at rest.
+        Start and end times of hovers at waypoints [s]. The vehicle shall be at rest in each hover.
     shifts : tuple of StateShift
         Shifts of the path in tilt, speed and rotor speeds, away from limits.
     """
@@ -117,8 +120,8 @@ def tracked(
 ) -> Trajectories | None:
     """Return the simulated flight of a vehicle that follows a coarse solution under feedback.
 
-    In each element of the result, the controls are those of the solution plus a constant
-    correction, clipped to the limits of the controls.
+    In each mesh element, the feedback adds a constant correction to the controls of the solution.
+    The corrected controls are clipped to their limits.
 
     Parameters
     ----------
@@ -129,21 +132,21 @@ def tracked(
     demands : Demands, optional
         Changes of the path that the vehicle follows, relative to the solution.
     previous : Trajectories, optional
-        An earlier result for the same solution, with any demands. The corrections then
-        anticipate the deviations that this flight shows.
+        An earlier result for the same solution. Its demands may differ. The corrections anticipate
+        the deviations of this earlier flight from its path.
 
     Returns
     -------
     Trajectories or None
-        States, controls and energy of the flight, on the solution's mesh with long elements split;
-        costates and Hamiltonian are interpolated. None if the vehicle cannot follow the solution,
-        so that one of its states grows beyond any physical value.
+        States, controls and energy of the flight, on the solution's mesh with long elements split.
+        Costates and Hamiltonian are interpolated. The result is None if a state grows beyond any
+        physical value, because the vehicle cannot follow the solution.
 
     Raises
     ------
     SolveError
-        If the integrator fails, or if it needs too many evaluations of the equations in one
-        element, because the vehicle tumbles far from its path.
+        If the integrator fails, or if one element needs too many evaluations of the equations. Such
+        an element occurs when the vehicle tumbles far from its path.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -211,23 +214,23 @@ class _Path:
 class _Regulator:
     """Linear-quadratic regulator that keeps a simulated vehicle on its path.
 
-    Each array has one entry for each of n mesh elements.
+    Each array has one entry for each of n mesh elements. The equations are those of
+    docs/theory/tracking.md.
 
     Attributes
     ----------
     transitions, driven : ndarray, shapes (n, n_states, n_states), (n, n_states, n_controls)
-        Matrices F and G of the linearised equations of an element: the deviation of the states at
-        its end is F times the deviation at its start plus G times the correction of the controls;
-        docs/theory/tracking.md, eq. (2).
+        Matrices F and G of eq. (2), the linearised equations of an element. The deviation of the
+        states at the end of the element is F times the deviation at its start plus G times the
+        correction of the controls.
     gains : ndarray, shape (n, n_controls, n_states)
-        Feedback matrices K: the correction of the controls is -K times the deviation; eq. (4).
+        Feedback matrices K of eq. (4). The correction of the controls is -K times the deviation.
     values : ndarray, shape (n, n_states, n_states)
-        Matrices P of the quadratic cost from the end of each element to the end of the flight;
-        eq. (4).
+        Matrices P of eq. (4): the quadratic cost from the end of each element to the end of the
+        flight.
     inverses : ndarray, shape (n, n_controls, n_controls)
-        Inverses of the Hessian of the cost with respect to the correction of the controls,
-        (h R + G^T P G)^-1 of eq. (4), with the duration h of the element and the weights R of
-        squared corrections.
+        Matrices (h R + G^T P G)^-1 of eq. (4), where h is the duration of the element and R has the
+        weights of squared corrections.
     """
 
     transitions: FloatArray
@@ -241,18 +244,26 @@ class _Regulator:
 
         The displaced path does not satisfy the linearised equations of motion. Its defect in each
         element acts like a known disturbance of the states, which the regulator can anticipate.
-        `aside` has the displaced states of the path minus its states before the displacement, at
-        the boundaries of the n mesh elements, shape (n + 1, n_states). The result has one
-        disturbance of the states for each element, shape (n, n_states).
+
+        Parameters
+        ----------
+        aside : ndarray, shape (n + 1, n_states)
+            Change of the path's states by the displacement, at the boundaries of the n mesh
+            elements.
+
+        Returns
+        -------
+        ndarray, shape (n, n_states)
+            Disturbance of the states in each element.
         """
         carried = np.einsum("kij,kj->ki", self.transitions, aside[:-1])
         return np.asarray(carried - aside[1:])
 
 
 def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
-    """Return for each time whether it is within a span of time, as an array of booleans.
+    """Return which times are within a span of time, as an array of booleans.
 
-    `times` has n times [s], and `rests` the start and end of each span [s], ends included.
+    `times` has the times [s], and `rests` the start and end of each span [s], ends included.
     """
     inside = [(times >= a - _SAME_S) & (times <= b + _SAME_S) for a, b in rests]
     return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)
@@ -261,14 +272,26 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that demands cause, at the element boundaries.
 
-    `path` is the path of a coarse solution, and `demands` are the demanded changes of this path.
-    The result has the shape (n_elements + 1, n_states) and the state order of `dynamics`. The
-    position changes by the displacement of `demands`, and the velocity by the time derivative of
-    the displacement. Roll and pitch are not changed by the displacement: the regulator finds the
-    tilt that the displaced path needs. During the hovers of `demands`, the velocity is changed to
-    zero. If the mission requires a constant heading, yaw angle and yaw rate are changed so that the
-    yaw angle is constant, because the coarse solution has a constant heading at its collocation
-    points only. Finally, the shifts of `demands` in tilt, speed and rotor speeds are added.
+    The displacement of the demands changes position and velocity. It does not change roll and
+    pitch: the regulator finds the tilt that the displaced path needs. During the demanded hovers,
+    the velocity is changed to zero. The shifts of the demands change tilt, speed and rotor speeds.
+
+    If the mission requires a constant heading, yaw angle and yaw rate are changed, too. The coarse
+    solution has a constant heading at its collocation points only.
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the vehicle.
+    path : _Path
+        Path of a coarse solution.
+    demands : Demands
+        Demanded changes of this path.
+
+    Returns
+    -------
+    ndarray, shape (n_elements + 1, n_states)
+        Changes of the states, in the order of `dynamics.state_names`.
     """
     aside = np.zeros_like(path.states)
     moved = displaced(path.borders, demands.displacement)
@@ -307,11 +330,20 @@ def _regulator(
 ) -> _Regulator:
     """Return the linear-quadratic regulator for the elements of a mesh.
 
-    Implements docs/theory/tracking.md, eqs. (2) to (4), by linearisation of the equations
-    `dynamics` about the solution `coarse`. `borders` has the times of the element boundaries [s],
-    shape (n_elements + 1,). `demands` are the changes of the path that the vehicle follows. They
-    increase weights in the cost of the regulator: the weight of the velocity during the hovers of
-    `demands`, and the weight of a state while a shift of `demands` changes this state.
+    Implements docs/theory/tracking.md, eqs. (2) to (4).
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the vehicle.
+    coarse : Trajectories
+        Solution about which the equations are linearised.
+    borders : ndarray, shape (n_elements + 1,)
+        Times of the element boundaries [s].
+    demands : Demands, optional
+        Changes of the path that the vehicle follows. During the demanded hovers, the regulator's
+        cost has a larger weight of the velocity. During a shift of a state, the cost has a larger
+        weight of this state.
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -363,12 +395,25 @@ def _regulator(
 def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) -> FloatArray:
     """Return the disturbance of the states in each element that an earlier flight shows.
 
-    A disturbance is the part of a flight's deviation from its path at the end of an element that
-    the linearised equations do not explain by the deviation at the start of the element and by the
-    correction of the controls. The disturbance is taken to be the same in the next flight, whose
-    controls can therefore anticipate the disturbance. `path` is the path without displacement,
-    `regulator` has the linearised equations, and `previous` is the earlier flight. The result has
-    the shape (n_elements, n_states). Implements docs/theory/tracking.md, eq. (6).
+    In each element, the linearised equations predict the deviation from the path at the end of the
+    element. They predict it from the deviation at the start and from the correction of the
+    controls. The disturbance is the actual deviation minus the prediction. The next flight is
+    assumed to have the same disturbance, so that its controls can anticipate the disturbance.
+    Implements docs/theory/tracking.md, eq. (6).
+
+    Parameters
+    ----------
+    path : _Path
+        Path without displacement.
+    regulator : _Regulator
+        Regulator with the linearised equations.
+    previous : Trajectories
+        The earlier flight.
+
+    Returns
+    -------
+    ndarray, shape (n_elements, n_states)
+        Disturbances of the states.
     """
     deviation = previous.states_at(path.borders) - path.states
     corrections = (
@@ -400,9 +445,8 @@ def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray
 def _weight(name: str) -> float:
     """Return the weight of a state's squared deviation in the linear-quadratic regulator's cost.
 
-    The regulator keeps a simulated vehicle near a solution. `name` is the name of the state. The
-    weight is 0 for a state that need not stay near the solution, such as the charge drawn from the
-    battery.
+    `name` is the name of the state. The weight is 0 for a state that may deviate freely from the
+    solution, such as the charge drawn from the battery.
     """
     if name.startswith(_ROTOR_SPEED):
         return 1.0 / _ROTOR_DEVIATION**2
@@ -415,11 +459,11 @@ _REMEDY = "Ask for more solver.elements."
 def _limited(rates: Rates) -> Rates:
     """Return a right-hand side that raises an error when it has been evaluated too often.
 
-    `rates` is the right-hand side of the equations of motion without this limit. The returned
-    function has the same arguments and the same values as `rates`, and serves to integrate one mesh
-    element. A vehicle near its path needs far fewer evaluations in a mesh element than the limit
-    allows. A vehicle that tumbles far from its path needs ever shorter integration steps; without
-    the limit, its simulation would take minutes.
+    A vehicle that tumbles far from its path needs ever shorter integration steps. Without the
+    limit, its simulation would take minutes. A vehicle near its path stays far below the limit.
+
+    `rates` is the right-hand side of the equations of motion, without a limit. The returned
+    function has the same arguments and values as `rates`. It is used for one mesh element only.
 
     Raises
     ------
@@ -441,17 +485,27 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    `dynamics` has the equations of the vehicle. In each element, the correction of the controls of
-    `path` is the feedback of `regulator` plus the entry of `commands`, shape (n_elements,
-    n_controls), which anticipates known disturbances. Implements docs/theory/tracking.md, eq. (1).
+    In each element, the controls of the path are corrected by the feedback plus a known command.
+    Implements docs/theory/tracking.md, eq. (1).
+
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Equations of the vehicle.
+    path : _Path
+        Path to follow.
+    regulator : _Regulator
+        Regulator with the feedback.
+    commands : ndarray, shape (n_elements, n_controls)
+        Corrections of the controls that anticipate known disturbances.
 
     Returns
     -------
     ndarray, shape (n_points + 1, n_states + 1)
         States and energy at the nodes.
     ndarray, shape (n_points, n_controls)
-        Controls at the collocation points, with the corrections by feedback. None instead of both
-        arrays if a state grows beyond any physical value (the constant `_LOST`).
+        Corrected controls at the collocation points. None instead of both arrays if a state grows
+        beyond any physical value (the constant `_LOST`).
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

@@ -105,8 +105,8 @@ def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
 def energy_of(scenario: Scenario, solution: Solution) -> float:
     """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-    The objective may also contain the price of time (weight of the duration) times the duration,
-    and the energy lost inside the battery.
+    The objective may also contain the duration, times a price of time, and the energy lost inside
+    the battery.
     """
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
@@ -123,11 +123,12 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    Unless the accuracy is the highest level, `proof`, feedback first corrects the controls (see
-    `flight.tracking`). Without this correction, the controls of a solution on a coarse mesh would
-    miss the goal. If the corrected flight breaks limits, the corrections are computed again: they
-    then anticipate the deviations of that flight, and lead the vehicle along a path that is
-    displaced out of the zones that the flight entered (see `flight.displacement`).
+    The controls of a solution on a coarse mesh would miss the goal. Feedback therefore first
+    corrects the controls, except at the highest accuracy level, `proof` (see `flight.tracking`).
+
+    If the corrected flight breaks limits, the corrections are computed again. The new corrections
+    anticipate the deviations of the previous flight. They follow a path that is displaced out of
+    the zones that the previous flight entered (see `flight.displacement`).
 
     Parameters
     ----------
@@ -138,9 +139,8 @@ def verified(
     accuracy : Accuracy, optional
         Accuracy to confirm; by default the scenario's accuracy.
     least_energy : float, optional
-        Least energy of the mission [J], with which the plan's energy is compared. It is given if
-        the solution has stricter limits than the mission; by default it is the energy of the
-        solution.
+        Least energy of the mission [J], with which the plan's energy is compared; by default the
+        energy of the solution. Needed for a solution with stricter limits than the mission.
     is_rough : bool, optional
         Whether a usable plan is enough. A usable plan is a plan that simulation confirms at lower
         accuracy than requested.
@@ -148,8 +148,9 @@ def verified(
     Returns
     -------
     Plan
-        The plan with its attributes `verification` and `flown` (the simulated flight); its status
-        is `VERIFIED` if the simulation confirms it to the accuracy, otherwise `SOLVED`.
+        The plan with its attributes `verification` and `flown` (the simulated flight). Its status
+        is `VERIFIED` if the simulation confirms the plan to the required accuracy, otherwise
+        `SOLVED`.
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -186,13 +187,14 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback until its flight keeps all limits, and simulate it.
 
-    First, a flight that follows the planned path under feedback is simulated. The controls of this
-    flight are the corrected controls. If the flight breaks limits, further flights under feedback
-    are simulated. The corrections in each further flight anticipate the deviations of the previous
-    flight. The path that the further flights follow is the planned path, displaced out of the zones
-    that earlier flights entered, and shifted away from limits on tilt, speed and rotor speeds that
-    they exceeded. If an earlier flight moved during a hover at a waypoint, this path is at rest
-    during all hovers.
+    The corrected controls are those of a simulated flight that follows the planned path under
+    feedback. If this flight breaks limits, further flights under feedback are simulated. Each
+    further flight anticipates the deviations of the previous flight.
+
+    Further flights follow a changed path. The path is displaced out of the zones that earlier
+    flights entered. It is shifted away from the limits on tilt, speed and rotor speeds that earlier
+    flights exceeded. If an earlier flight moved during a hover at a waypoint, the changed path is
+    at rest during all hovers.
 
     Parameters
     ----------
@@ -213,8 +215,8 @@ def _corrected(
         Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
     Verification
         Comparison of a flight with limits and final states. As a rule, this flight is a simulation
-        of the corrected controls without feedback. If no flight under feedback meets even the
-        tolerances of a usable plan, it is the last flight under feedback.
+        of the corrected controls without feedback. It is the last flight under feedback if no
+        flight under feedback meets even the tolerances of a usable plan.
     Flown
         Samples of the flight that was compared.
     """
@@ -250,12 +252,21 @@ def _corrected(
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
     """Return the demands on the next simulated flight, after a flight that broke limits.
 
-    Demands are changes of the path that the vehicle follows under feedback, relative to the path of
-    `plan`. `demands` are the demands on the flight that broke limits, and `path` has the samples of
-    this flight. The result has further demands: pushes out of the zones that the flight entered,
-    and shifts away from the limits on tilt, speed and rotor speeds that the flight exceeded. If the
-    flight moved during a hover, the result also demands rest during all hovers. `allowed` is the
-    tolerated violation of a limit, relative to the larger of 1 and the limit.
+    Demands are changes of the path that the vehicle follows under feedback. The new demands push
+    the path out of the zones that the flight entered. They shift the path away from the limits on
+    tilt, speed and rotor speeds that the flight exceeded. If the flight moved during a hover, the
+    new demands are also to rest during all hovers.
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan whose path is changed.
+    demands : Demands
+        Demands on the flight that broke limits. The result includes them.
+    path : Flown
+        Samples of the flight that broke limits.
+    allowed : float
+        Tolerated violation of a limit, relative to the larger of 1 and the limit.
     """
     rests, limits = demands.rests, limits_along(plan.dynamics, path)
     if not rests and moves_in_hovers(path, limits, allowed):
@@ -272,9 +283,9 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
     """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
 
-    The result equals the final states `wanted`, except for states that measure consumption, such as
-    the charge drawn from the battery. The mission does not prescribe the final values of these
-    states: the result has their final values in `plan`.
+    The final states are those of `wanted`, except for states that measure consumption, such as the
+    charge drawn from the battery. The mission does not prescribe a final consumption. Its value is
+    taken from `plan`.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])
@@ -284,10 +295,18 @@ def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
     """Return the message of a simulated plan: why it does not reach the required accuracy.
 
-    The reason is a limit that the simulated flight violates, according to `found` (the comparison
-    of this flight with the plan), or an energy that may exceed the optimum by more than `accuracy`
-    allows. The result is the message of the plan's solve if neither is the case, or if the accuracy
-    is the highest level, `proof`.
+    One possible reason is a limit that the simulated flight violates. Another is an energy that may
+    exceed the optimum by more than the accuracy allows. Without such a reason, or at the highest
+    accuracy level, `proof`, the result is the message of the plan's solve.
+
+    Parameters
+    ----------
+    plan : Plan
+        The plan.
+    found : Verification
+        Comparison of the simulated flight with the plan.
+    accuracy : Accuracy
+        The required accuracy.
     """
     excess = plan.error_estimate
     if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):
@@ -346,14 +365,26 @@ def _followed(
 ) -> Plan:
     """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
 
-    `plan` is the plan before the correction. The corrected plan has the states, controls and energy
-    of a simulated flight that follows the path of `plan` under feedback (see `flight.tracking`). If
-    the vehicle cannot follow this path, the result is `plan`, unchanged. `least_energy` is the
-    energy of the optimum [J]. The error estimate of the corrected plan is the larger of two
-    numbers: the error estimate of `plan`, and the relative difference between the energy of the
-    simulated flight and `least_energy`; see docs/theory/tracking.md, eq. (5). `demands` change the
-    path that the vehicle follows. `previous` has the states and controls of an earlier flight along
-    the path, or is None; the corrections anticipate the deviations of this earlier flight.
+    The corrected plan has the states, controls and energy of a simulated flight under feedback (see
+    `flight.tracking`). Its error estimate is at least the relative difference between its energy
+    and the least energy; see docs/theory/tracking.md, eq. (5).
+
+    Parameters
+    ----------
+    plan : Plan
+        Plan before the correction.
+    least_energy : float
+        Energy of the optimum [J].
+    demands : Demands
+        Changes of the path that the vehicle follows, relative to the path of `plan`.
+    previous : Trajectories or None
+        States and controls of an earlier flight along the path. The corrections anticipate the
+        deviations of this earlier flight.
+
+    Returns
+    -------
+    Plan
+        The corrected plan; `plan` itself if the vehicle cannot follow the path.
     """
     followed = tracked(plan.dynamics, plan.trajectories, demands, previous)
     if followed is None:
@@ -381,8 +412,8 @@ def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Ver
 def path_of(plan: Plan, accuracy: Accuracy) -> Flown:
     """Return samples of the planned path, as if the vehicle flew the path exactly.
 
-    They serve to check limits without a simulation. `accuracy` sets the spacing of the samples near
-    zones.
+    The samples serve to check limits without a simulation. `accuracy` sets the distance between
+    samples near zones.
     """
     held, spacing = plan.trajectories, FIGURES[accuracy].spacing
     shares = samples_of_path(plan.dynamics, held.mesh, held.states, plan.scenario.airspace, spacing)

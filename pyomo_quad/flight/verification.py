@@ -150,10 +150,22 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    `flow` has the equations, and `control` gives the controls, smooth in the element, at a time
-    [s]. Parameters of the equations may jump at the start of the element. For times before `inside`
-    [s], which is just after the start, the equations are therefore evaluated at `inside`. The
-    result is a function of time [s] and state.
+    Parameters of the equations may jump at the start of the element. Up to the time `inside`, the
+    equations are therefore evaluated with the parameters at `inside`.
+
+    Parameters
+    ----------
+    flow : ClosedLoop
+        Equations of motion.
+    control : callable
+        Function of the time [s] that returns the controls, smooth in the element.
+    inside : float
+        Time just after the start of the element [s].
+
+    Returns
+    -------
+    callable
+        Function of time [s] and state that returns the time derivative of the state.
     """
 
     def rates(t: float, y: FloatArray) -> FloatArray:
@@ -188,15 +200,15 @@ class Verification:
     Attributes
     ----------
     terminal_miss : mapping
-        State name to simulated minus planned final value, in the state's unit.
+        Simulated minus planned final value of each state, by the state's name, in the state's unit.
     terminal_miss_m : float
-        Distance between the simulated and the planned final position.
+        Distance between the simulated and the planned final position [m].
     worst_miss : str
         State whose final value deviates most from the plan, relative to the larger of 1 and the
         value of the state.
     max_violation, worst_constraint : float, str
-        Largest violation of a limit along the flight, relative to the larger of 1 and the limit,
-        and the name of this limit.
+        Largest violation of a limit along the flight, and the name of the violated limit. The
+        violation is relative to the larger of 1 and the limit.
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
@@ -213,10 +225,11 @@ class Verification:
         Whether all deviations and shortfalls are within the tolerances of the required accuracy.
     is_usable : bool
         Whether all deviations and shortfalls are within the tolerances of a usable plan
-        (`scenario.accuracy.USABLE`): those of the lowest accuracy, but wider for the final states.
+        (`scenario.accuracy.USABLE`). These are the tolerances of the lowest accuracy, but wider for
+        the final states.
     reached : Accuracy or None
-        The highest accuracy, up to the required accuracy, whose tolerances all deviations and
-        shortfalls meet; None if there is no such accuracy.
+        The highest accuracy, up to the required accuracy, whose tolerances are met by all
+        deviations and shortfalls; None if there is no such accuracy.
     """
 
     terminal_miss: Mapping[str, float]
@@ -259,10 +272,11 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    `flown` has the samples of the flight. The result is negative if the battery always supplies
-    more than needed, and 0 for a model without motor or battery voltage. The motor's voltage is
-    evaluated at constant rotor speed; the additional voltage that a change of speed needs is
-    covered by the limit on the rotors' acceleration.
+    The result is negative if the battery always supplies more than needed. It is 0 for a model
+    without motor or battery voltage. `flown` has the samples of the flight.
+
+    The motor's voltage is evaluated at constant rotor speed. A change of speed needs additional
+    voltage, but the limit on the rotors' acceleration covers this voltage.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -278,9 +292,16 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
     """Return a message if a flight leaves the wind field of its plan; empty otherwise.
 
     A wind field (wind as a function of place and time) is known in a limited region and period
-    only. `scenario` has the wind field, and `flown` has the samples of the flight. `dynamics` are
-    the equations of the vehicle, whose state names tell which columns of the samples are the
-    positions. For equations without positions among their states, the result is empty.
+    only.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        Scenario with the wind field.
+    dynamics : Dynamics
+        Equations of the vehicle. The result is empty if their states do not include the position.
+    flown : Flown
+        Samples of the flight.
     """
     if not set(POSITION_STATES) <= set(dynamics.state_names):
         return ""
@@ -291,11 +312,16 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     """Return the largest fractions of power and of charge in a flight that the battery lacks.
 
-    The first is the fraction of the required power that the battery cannot give, the second the
-    charge drawn from an empty battery as a fraction of its capacity (negative while charge
-    remains). The model's equations give finite values even if the power exceeds the battery's
-    greatest power or the battery is empty, but a real vehicle cannot fly in these conditions. For a
-    model without a battery, both fractions are zero. `flown` has the samples of the flight.
+    The model's equations give finite values even beyond the battery's greatest power, or with an
+    empty battery. A real vehicle cannot fly in these conditions. `flown` has the samples of the
+    flight.
+
+    Returns
+    -------
+    (float, float)
+        Largest fraction of the required power that the battery cannot give, and charge drawn from
+        an empty battery as a fraction of its capacity (negative while charge remains). Both are
+        zero for a model without a battery.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -353,15 +379,16 @@ def samples_of_path(
 ) -> list[FloatArray]:
     """Return where to sample a simulated flight in each mesh element, to check limits on position.
 
-    The samples are dense near zones and ground. Where the path between two nodes may reach a zone,
-    samples are at most `spacing` [m] apart. Over terrain, where the path may reach a limit on the
-    height above ground, the distance between samples is a small fraction of a cell of the terrain
-    grid, because the limit is one polynomial surface in each cell.
+    The samples are dense where the path between two nodes may reach a zone or a limit on the height
+    above terrain. Near a zone, samples are at most `spacing` [m] apart. Near a height limit, their
+    distance is a small fraction of a cell of the terrain grid, because the limit is one polynomial
+    surface in each cell.
 
     Parameters
     ----------
     dynamics : Dynamics
-        Equations of the plan; without positions among their states, samples are equally spaced.
+        Equations of the plan. Samples are equally spaced if their states do not include the
+        position.
     mesh : Mesh
         Mesh of the plan.
     states : ndarray, shape (n_points + 1, n_states)
@@ -405,9 +432,16 @@ def samples_of_path(
 
 @dataclass(frozen=True, kw_only=True)
 class Passage:
-    """Waypoint that a flight must pass at the time `time_s` [s], at most `radius` [m] away.
+    """Waypoint that a flight must pass at a given time, within a given distance.
 
-    `position` has the coordinates of the waypoint [m].
+    Attributes
+    ----------
+    time_s : float
+        Passing time [s].
+    position : (float, float, float)
+        Coordinates of the waypoint [m].
+    radius : float
+        Largest distance from the waypoint [m].
     """
 
     time_s: float
@@ -418,8 +452,8 @@ class Passage:
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
     """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0.
 
-    `dynamics` are the equations of the vehicle, whose state names tell which states are positions.
-    `flown` has the samples of the flight, and `passage` the waypoint with its passing time.
+    `dynamics` are the equations of the vehicle, which name the states. `flown` has the samples of
+    the flight, and `passage` the waypoint with its passing time.
     """
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
@@ -567,9 +601,9 @@ _HEADING = "mission.yaw_keeping"
 
 
 def is_of_airspace(breach: Violation) -> bool:
-    """Return whether a violated limit belongs to the airspace, so that its violation is in m.
+    """Return whether a violated limit belongs to the airspace: a zone, the fence, floor or ceiling.
 
-    `breach` is the violation. Limits of the airspace are zones, fence, floor and ceiling.
+    `breach` is the violation. Violations of the airspace are in m.
     """
     return breach.name.startswith("airspace.")
 
@@ -598,11 +632,18 @@ def beyond(breaches: Iterable[Violation], figures: Figures) -> tuple[Violation, 
 class _Found:
     """Largest errors of a simulated flight compared with its plan.
 
-    `miss` is the largest of two kinds of errors: the deviation of each final state from the plan,
-    relative to the larger of 1 and the planned value, and the distance [m] by which the flight
-    passes outside the radius of each waypoint. `energy` is the deviation of the energy, relative to
-    the larger of 1 J and the planned energy. `breaches` has the violations of limits. `lacking` is
-    the largest of the fractions of power, charge and motor voltage that the battery cannot supply.
+    Attributes
+    ----------
+    miss : float
+        Largest miss at the goal or at a waypoint. At the goal, it is the deviation of a final state
+        from the plan, relative to the larger of 1 and the planned value. At a waypoint, it is the
+        distance by which the flight passes outside the waypoint's radius [m].
+    breaches : tuple of Violation
+        Violations of limits.
+    energy : float
+        Deviation of the energy, relative to the larger of 1 J and the planned energy.
+    lacking : float
+        Largest of the fractions of power, charge and motor voltage that the battery cannot supply.
     """
 
     miss: float
@@ -611,10 +652,9 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy level, at most the level `asked`, whose tolerances are met.
+        """Return the highest accuracy level whose tolerances all errors of the flight meet.
 
-        The tolerances are met if all errors of the flight are within them. The result is None if
-        there is no such level.
+        Levels above `asked` are not considered. The result is None if the flight meets no level.
         """
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None

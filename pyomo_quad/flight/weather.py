@@ -53,8 +53,8 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
     """Draw random winds, masses and powers for many simulated flights.
 
-    If the scenario states the error of its wind forecast, each flight has its own wind, which is
-    the forecast plus a random error; otherwise all flights have the actual wind.
+    If the scenario states the error of its wind forecast, each flight has its own wind: the
+    forecast plus a random error. Otherwise all flights have the actual wind.
 
     Parameters
     ----------
@@ -70,13 +70,13 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     Returns
     -------
     Dynamics
-        Equations of the vehicle, the same for all flights, with parameter values without random
-        errors. Their states include the states of the filters that model turbulence, unless the
-        scenario has neither turbulence nor uncertain quantities.
+        Equations of the vehicle, the same for all flights. Their parameters have no random errors.
+        With turbulence or uncertain quantities, their states include the states of the filters that
+        model turbulence.
     Draws
         For each flight, the parameter values with random errors, and the random input and initial
-        states of the turbulence filters (gusts). All of these depend on the seed and on the index
-        of the flight, but not on the number of flights or on the duration.
+        states of the turbulence filters (gusts). They depend on the seed and on the index of the
+        flight, but not on the number of flights or on the duration.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -115,8 +115,8 @@ _OF_ERRORS = 1
 def problem_in_turbulence(scenario: Scenario) -> Problem:
     """Return the compiled equations of a scenario with turbulence in its wind.
 
-    They have additional states, those of the filters that model turbulence. They are compiled once
-    and then read from a cache.
+    The equations have additional states: the states of the filters that model turbulence. The
+    equations are compiled once and then read from a cache.
     """
     turbulence = scenario.wind.turbulence
     key = structure_key(scenario), guess_key(scenario), turbulence
@@ -140,8 +140,8 @@ def as_expected(scenario: Scenario) -> Scenario:
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
     """Return how one standard deviation of each uncertain quantity changes the model's parameters.
 
-    The uncertain quantities are speed and direction of the wind, mass, and hover power. The
-    scenario states their standard deviations; quantities without one are left out.
+    The uncertain quantities are speed and direction of the wind, mass, and hover power. Only
+    quantities with a standard deviation in the scenario are returned.
 
     Parameters
     ----------
@@ -154,8 +154,8 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     -------
     tuple of dict
         One dictionary for each uncertain quantity: full name of a parameter -> change of the
-        parameter's value. The parameters are those of the vehicle's equations with turbulence,
-        which the function `problem_in_turbulence` compiles.
+        parameter's value. The parameters are those of the equations that `problem_in_turbulence`
+        compiles.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()

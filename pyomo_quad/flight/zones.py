@@ -1,10 +1,12 @@
 """Geometry of keep-out zones near a leg: intersections, sides of passage, and points round a zone.
 
 A leg is the line between two waypoints. The side on which a route passes a zone is determined where
-the route crosses a vertical plane across the leg. The plane goes through the middle of the part of
-the leg that is inside the zone or, if the leg is outside, through the point of the leg nearest to
-the zone. This plane separates the start of the leg from its goal, and always cuts the zone. A plane
-through the centre of the zone may fail to separate start and goal.
+the route crosses a vertical plane across the leg. If the leg enters the zone, the plane goes
+through the middle of the part of the leg inside the zone. If the leg stays outside, the plane goes
+through the point of the leg nearest to the zone.
+
+The plane always cuts the zone, and separates the start of the leg from its goal. A plane through
+the centre of the zone may fail to separate start and goal.
 """
 
 from collections.abc import Sequence
@@ -58,7 +60,7 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
     Returns
     -------
     list of KeepOut
-        Those of `zones` that a line of the path enters after they are enlarged by the clearance.
+        Each zone that the path enters when the zone is enlarged by the clearance.
     """
     return [
         zone
@@ -87,11 +89,21 @@ def _spans_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where n straight lines enter and leave a keep-out zone enlarged by its clearance.
 
-    `starts` and `ends` are the ends of the lines, shape (n, 3), and `clearance` is the distance
-    kept from the zone, all in m. The results are fractions of each line, 0 at its start and 1 at
-    its end. They may be outside 0 to 1, because the lines are extended beyond both ends. Both
-    arrays have shape (n,). If a line misses the zone, its second fraction is smaller than its
-    first.
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    starts, ends : ndarray, shape (n, 3)
+        Ends of the lines [m].
+    clearance : float
+        Distance kept from the zone [m].
+
+    Returns
+    -------
+    entries, exits : ndarray, shape (n,)
+        Fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
+        the lines are extended beyond both ends. If a line misses the zone, its exit is smaller than
+        its entry.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -105,12 +117,24 @@ def _span_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where n straight lines enter and leave a ball enlarged by a clearance.
 
-    The ball is a building block of a zone: a disc, an interval or a sphere in some of the
-    coordinates. A zone is the intersection of its balls. `starts` and `ends` are the ends of the
-    lines, shape (n, 3), and `clearance` is the distance kept from the ball, all in m. The results
-    are fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
-    the lines are extended beyond both ends. Both arrays have shape (n,). If a line misses the ball,
-    its fractions are 1 and 0.
+    A zone is the intersection of its balls. A ball limits one coordinate (an interval), two
+    coordinates (a disc) or three (a sphere).
+
+    Parameters
+    ----------
+    ball : Ball
+        The ball.
+    starts, ends : ndarray, shape (n, 3)
+        Ends of the lines [m].
+    clearance : float
+        Distance kept from the ball [m].
+
+    Returns
+    -------
+    entries, exits : ndarray, shape (n,)
+        Fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
+        the lines are extended beyond both ends. If a line misses the ball, its fractions are 1 and
+        0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
@@ -133,10 +157,10 @@ def sides_passed(
     """Return the side on which each of n straight lines passes a keep-out zone.
 
     The lines are pieces of routes for a leg (line between two waypoints). The side is determined at
-    the point where a line crosses a vertical plane. This plane is perpendicular to the horizontal
-    direction of the leg. It goes through the middle of the part of the leg that is inside the zone
-    enlarged by its clearance or, if the leg is outside, through the point of the leg nearest to the
-    zone.
+    the point where a line crosses a vertical plane. The plane is perpendicular to the horizontal
+    direction of the leg. If the leg enters the zone enlarged by its clearance, the plane goes
+    through the middle of the part inside. If the leg stays outside, the plane goes through the
+    point of the leg nearest to the zone.
 
     Parameters
     ----------
@@ -191,10 +215,23 @@ class _Section(NamedTuple):
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
     """Return the cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The plane goes through one
-    point of the leg: the middle of the part of the leg that is inside the zone enlarged by
-    `clearance` [m] or, if the leg is outside, the point of the leg nearest to the zone. The result
-    is None if this point is an end of the leg.
+    A leg is the line between two waypoints. If the leg enters the zone enlarged by its clearance,
+    the plane goes through the middle of the part inside. If the leg stays outside, the plane goes
+    through the point of the leg nearest to the zone.
+
+    Parameters
+    ----------
+    zone : KeepOut
+        The zone.
+    ends : ndarray, shape (2, 3)
+        Ends of the leg [m].
+    clearance : float
+        Distance kept from the zone [m].
+
+    Returns
+    -------
+    _Section or None
+        The cross-section; None if the plane goes through an end of the leg.
     """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
@@ -213,8 +250,8 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 
     A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The place is a fraction of
     the leg: the middle of the part that is nearer to the zone than `clearance` [m]. If the whole
-    leg is farther away, the clearance is enlarged until the zone with its clearance just reaches
-    the leg.
+    leg is farther away, a larger clearance is used, with which the enlarged zone just reaches the
+    leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -238,8 +275,8 @@ def _chord(
 ) -> tuple[FloatArray, float]:
     """Return the middle, shape (3,), and half the length of the part of a line inside a zone [m].
 
-    The line passes through ``place`` in the direction of the unit vector ``direction``; ``reach``
-    is the clearance round the zone [m].
+    The line passes through `place` in the direction of the unit vector `direction`. The zone is
+    enlarged by the clearance `reach` [m].
     """
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
@@ -248,9 +285,9 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    Each has shape (3,). `ends` has start and end of the leg, shape (2, 3) [m]. The first vector is
-    horizontal unless the leg is vertical, so that even a steep leg passes a tall zone on the left
-    or right.
+    Each vector has shape (3,). The first vector is horizontal, except for a vertical leg. Even a
+    steep leg therefore passes a tall zone on the left or right. `ends` has start and end of the
+    leg, shape (2, 3) [m].
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
