@@ -355,13 +355,13 @@ class BestOrder:
         Parameters
         ----------
         found : OrderSearch
-            The order of the waypoints, and the costs of separate flights between the places of the
-            mission, from which the order was found.
+            The order of the waypoints, with the costs of separate flights between the places of the
+            mission. The order was found from these costs.
 
         Returns
         -------
         str
-            The cost of the solution [J] in words, or the status of a failed solve.
+            Text with the cost of the solution [J], or with the status of a failed solve.
         """
         solution = self._roughly(in_order(self._scenario, found.order))
         is_flown = solution.status.is_solved

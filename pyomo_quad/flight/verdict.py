@@ -366,8 +366,9 @@ def _followed(
     """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
 
     The corrected plan has the states, controls and energy of a simulated flight under feedback (see
-    `flight.tracking`). Its error estimate is at least the relative difference between its energy
-    and the least energy; see docs/theory/tracking.md, eq. (5).
+    `flight.tracking`). Its error estimate is the larger of two numbers: the error estimate of
+    `plan`, and the relative difference between its energy and the least energy; see
+    docs/theory/tracking.md, eq. (5).
 
     Parameters
     ----------

@@ -45,10 +45,10 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
     """Context manager: turn failures of another package's log reader into a one-line ScenarioError.
 
-    Readers such as `pyulog` print the errors that they find, and raise exceptions of many types for
-    damaged logs. The printed text is suppressed. `autopilot` is the name of the autopilot, and
-    `package` the name of the reader's package; both are for the message of the error. Errors of the
-    file system and a lack of memory are not converted.
+    Readers such as `pyulog` raise exceptions of many types for damaged logs. They also print
+    errors; the printed text is suppressed. Errors of the file system and a lack of memory are not
+    converted. The message names the autopilot, `autopilot`, and the package of the reader,
+    `package`.
     """
     try:
         with redirect_stdout(StringIO()):
@@ -149,9 +149,16 @@ def read_ulog(file: Path) -> pd.DataFrame:
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
     """Return the values of one field in a PX4 log, in the order of time.
 
-    A log consists of topics: tables with one column for each field. `topics` has the tables by
-    name, and `topic` is the name of the wanted one. Versions of PX4 name the field differently: the
-    first of `names` that the topic has is used.
+    A log consists of topics: tables with one column for each field.
+
+    Parameters
+    ----------
+    topics : dict
+        Tables of the log, by name of the topic.
+    topic : str
+        Name of the topic that has the field.
+    *names : str
+        Names of the field in different versions of PX4. The first name that the topic has is used.
     """
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
@@ -236,10 +243,17 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
     """Return the rows of an ArduPilot message that the first sensor or filter has written.
 
-    Several sensors of one kind, or several instances of the Kalman filter, may write the same
-    message, each with its own number; only the rows with the least number are returned. `message`
-    is the table of all logged messages of one kind, with one column for each field. `name` is the
-    name of this kind, for an error text, and `needed` are the fields that the table must have.
+    Several sensors, or several instances of the Kalman filter, may write the same kind of message.
+    Each of them has a number. Only the rows with the least number are returned.
+
+    Parameters
+    ----------
+    message : DataFrame
+        All logged messages of one kind, with one column for each field.
+    name : str
+        Name of this kind, for an error text.
+    *needed : str
+        Fields that the table must have.
     """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(
@@ -285,8 +299,8 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
     """Return whether the land detector of an ArduPilot log reports flight at each time.
 
-    `events` is the log's table of events with their times in microseconds; `times` has the same
-    unit. The result is True throughout if the log has no events of the detector.
+    `events` is the log's table of events. `times` are times in microseconds, the unit of the table.
+    The result is True throughout if the log has no events of the detector.
     """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)

@@ -170,8 +170,8 @@ def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
     """Draw measured and computed cell voltage of three flights, and the error of each flight.
 
     The left panel shows the voltage of a slow, an average and a fast flight over time. The right
-    panel shows the root mean square error of each flight's voltage, as a function of the resistance
-    of the flight's battery pack relative to that of the median pack.
+    panel shows the root mean square error of each flight's voltage. Its horizontal axis is the
+    resistance of the flight's battery pack, relative to the resistance of the median pack.
 
     Parameters
     ----------

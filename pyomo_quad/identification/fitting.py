@@ -3,9 +3,9 @@
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
 The residual is the mean measured power minus the mean computed power, over time windows of some
-seconds. A row of a log, one second, is too short: noise dominates its airspeed and acceleration,
-and a fit to single rows would give a power curve that is too flat. Large residuals, from gusts or
-ground effect, count linearly instead of quadratically.
+seconds. Single rows of a log, each one second long, are too short. Noise dominates their airspeed
+and acceleration, so that a fit to them would give a power curve that is too flat. Large residuals,
+from gusts or ground effect, count linearly instead of quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -79,7 +79,8 @@ class FittedParameter:
         Value before the fit, fitted value, and standard deviation of the fitted value, in the
         field's unit.
     is_determined : bool
-        Whether the measurements determine the field; otherwise it keeps its value.
+        Whether the measurements determine the field. If not, the field keeps its value before the
+        fit.
     is_at_bound : bool
         Whether the fitted value lies at the end of its permitted range.
     """
@@ -101,8 +102,8 @@ class IdentifiedParameter:
     name : str
         Name of the field.
     base, base_source : float, str
-        Value before the fit, in the field's unit, and its source. The value may come from an
-        earlier fit to the same flights.
+        Value before the fit, in the field's unit, and the source of this value. The value may come
+        from an earlier fit to the same flights.
     value : float
         Fitted value.
     first_half, second_half : float
@@ -111,7 +112,7 @@ class IdentifiedParameter:
     deviation : float
         Standard deviation by bootstrap over the flights; 0 if the field keeps its value.
     is_determined : bool
-        Whether the flights determine the field; otherwise it keeps its value.
+        Whether the flights determine the field. If not, the field keeps its value before the fit.
     is_at_bound : bool
         Whether the fitted value lies at the end of its permitted range.
     """
@@ -315,10 +316,10 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
-        For each draw, as many flights as the log has are chosen at random, with replacement, and
-        the parameters are fitted to them by robust least squares. In these fits the computed power
-        is linearised in the parameters about `values`. The linearisation is exact for parameters
-        that enter the power linearly.
+        Each draw chooses flights at random, with replacement, as many as the log has. The
+        parameters are fitted to the chosen flights by robust least squares. In these fits, the
+        computed power is linearised in the parameters about `values`. The linearisation is exact
+        for parameters that enter the power linearly.
 
         Parameters
         ----------
@@ -351,8 +352,7 @@ class Fit:
     def applied(self, values: FloatArray) -> Scenario:
         """Return a copy of the scenario in which the vehicle's fitted fields have given values.
 
-        `values` are the values of the n fields that the fit determines, shape (n,), in the order of
-        the field names `names`.
+        `values` are the values of the fitted fields, shape (n,), in the order of `names`.
         """
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
@@ -412,8 +412,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the upper bound of a drag coefficient in the fit.
 
-    At the upper bound, the drag at the largest airspeed in the log equals the vehicle's weight, so
-    that the vehicle is tilted by 45° in level flight at this airspeed.
+    At the upper bound, the drag at the largest airspeed in the log equals the vehicle's weight. In
+    level flight at this airspeed, the vehicle is then tilted by 45°.
 
     Parameters
     ----------
@@ -458,9 +458,9 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A parameter is not determined if changes of the other parameters can compensate the effect of
-    its change on the power. The parameter whose effect is compensated best is removed, until all
-    remaining parameters are determined.
+    A change of such a parameter alters the power, but changes of the other parameters can
+    compensate the alteration. One such parameter after another is removed, the best compensated
+    first, until all remaining parameters are determined.
 
     Parameters
     ----------
@@ -487,12 +487,11 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude to assume for each parameter, shape (n,), in its own unit.
+    """Return the least magnitude to assume for each parameter of a fit, in its own unit.
 
-    The n parameters are those of `fit`. To test whether the flights determine a parameter, the
-    function `undetermined` changes the parameter by a fraction of its absolute value or of this
-    least magnitude, whichever is larger. Without the least magnitude, a parameter with the value 0
-    would not be changed at all.
+    The result has one entry for each parameter. The function `undetermined` changes each parameter
+    by a fraction of the parameter's magnitude. A parameter with the value 0 would not be changed at
+    all. The magnitude is therefore at least the number returned here.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -514,8 +513,7 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
     -------
     tuple of (str, str)
         Name of each undetermined parameter, and name of the similar parameter. The second name is
-        "" if the undetermined parameter has no effect on the power, or no other parameter has a
-        similar effect.
+        "" if no parameter is similar, or if the undetermined parameter has no effect on the power.
     """
     slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
@@ -586,8 +584,8 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    Rows are too far apart if a fit to every second row gives a clearly different value of a
-    parameter: the change exceeds two standard deviations and also 5 % of the parameter.
+    To test the distance of the rows, the parameters are fitted to every second row. The rows are
+    too far apart if a parameter changes by more than two standard deviations and by more than 5 %.
 
     Parameters
     ----------
@@ -598,9 +596,8 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
     values : ndarray, shape (n,)
         Parameters fitted to all flights.
     draws : ndarray, shape (n_draws, n)
-        Parameters fitted to random draws of the flights, one row for each draw and one column for
-        each parameter. The standard deviation of a column is the standard deviation of the
-        parameter.
+        Parameters fitted to random draws of the flights, one row for each draw. The standard
+        deviation of a column is the standard deviation of one parameter.
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
@@ -649,10 +646,10 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return, in words, the source of the value that a field of the vehicle had before the fit.
+    """Return, in words, where the value of a field of the vehicle before the fit comes from.
 
-    `field` is the field's name. For a vehicle of the library, the source is the text that the
-    vehicle's file states for the field.
+    `field` is the field's name. For a vehicle of the library, the words are those of the vehicle's
+    file.
     """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):

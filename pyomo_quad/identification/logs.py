@@ -244,8 +244,8 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
     Returns
     -------
     dict
-        Name of a needed column in the log -> the package's own name of this column, which is a key
-        of the mapping `COLUMNS`.
+        Name of each needed column in the log -> the package's own name of the column. The own names
+        are the keys of the mapping `COLUMNS`.
 
     Raises
     ------

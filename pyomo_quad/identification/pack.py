@@ -4,8 +4,8 @@ Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-val
 
 This file has no formula of the battery. The model's equations simulate the battery alone under the
 measured power of all flights at once. The charge at the start of a flight follows from the voltage
-before the load. The packs of the flights differ in age and temperature: the resistance of each
-flight's pack follows from the first seconds under load.
+before the load. Each flight has its own pack, of its own age and temperature. The resistance of
+this pack follows from the first seconds under load.
 """
 
 from dataclasses import dataclass
@@ -83,7 +83,7 @@ class PackParameter:
 class PackIdentification:
     """Battery identified from flights, with the errors of its computed voltages.
 
-    "Unseen" flights are not part of the fit by which their voltage is computed.
+    The voltage of an "unseen" flight is computed by a fit without this flight.
 
     Attributes
     ----------
@@ -92,10 +92,10 @@ class PackIdentification:
     parameters : tuple of PackParameter
         Fitted fields.
     flights : DataFrame
-        One row for each flight: state of charge at start and end [percent], factor on the
+        One row for each flight. Columns: state of charge at start and end [percent], factor on the
         resistance of the flight's pack, and two root mean square errors of the unseen flight's
-        voltage [mV per cell]. The first is computed with this factor, the second with the factor 1
-        of a median pack.
+        voltage [mV per cell]: one computed with this factor, one with the factor 1 of a median
+        pack.
     rows : DataFrame
         Time [s], measured and computed cell voltage [V] of the unseen flights.
     read_s : float
@@ -121,22 +121,21 @@ class PackIdentification:
 class _Flown(NamedTuple):
     """Measured power and cell voltage of one flight, in time steps of equal length.
 
-    The rows begin a few seconds before the load of the motors begins, or at the start of the log of
-    the flight, if this is later.
+    The time steps have the same length for all flights. The first step is a few seconds before the
+    load of the motors begins. If the log begins later, the first step is the start of the log.
 
     Attributes
     ----------
     name : object
         Name of the flight.
     power, voltage : ndarray, shape (n_times,)
-        Power of the pack [W] and voltage per cell [V], in time steps that are equally long for all
-        flights.
+        Power of the pack [W] and voltage per cell [V] in each time step.
     rest : (float, float)
-        Mean voltage per cell [V] and mean power [W] before the load begins; the values of the first
-        row if the log of the flight begins under load.
+        Mean voltage per cell [V] and mean power [W] before the load begins. If the log begins under
+        load, the values of its first row.
     aloft : int
-        Number of rows of `power` and `voltage` that count as flight: all rows from the start of
-        these arrays to the last row under load, inclusive.
+        Number of time steps from the first one to the last one under load, inclusive. These steps
+        count as flight.
     """
 
     name: object
@@ -179,8 +178,8 @@ class Record:
     def _flight(self, rows: pd.DataFrame) -> _Flown | None:
         """Resample the log of one flight to time steps of equal length, the same for all flights.
 
-        `rows` are the rows of the log of this flight. The result is None if the flight has no load
-        or is too short.
+        `rows` are the log's rows of the flight. The result is None if the flight has no load or is
+        too short.
         """
         time = rows[TIME].to_numpy()
         even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
@@ -349,9 +348,9 @@ class Circuit:
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the charge that a full pack has lost before the start of each flight [A h].
 
-        The charge follows from the open-circuit voltage at the start of the flight: the measured
-        voltage at rest or, if the record begins under load, the measured voltage plus the computed
-        voltage drop under this load.
+        The charge follows from the open-circuit voltage at the start of the flight. This voltage is
+        the voltage measured at rest. If the record begins under load, it is the measured voltage
+        plus the computed voltage drop.
 
         Parameters
         ----------
@@ -385,8 +384,8 @@ class Circuit:
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
         """Determine the factor on each pack's resistance from the first seconds under load.
 
-        The packs of the flights differ in age and temperature. The factor is chosen so that the
-        mean computed voltage of these seconds equals the mean measured voltage.
+        The packs of the flights differ in age and temperature. With the chosen factor, the mean
+        computed voltage in the first seconds under load equals the mean measured voltage.
 
         Parameters
         ----------
@@ -413,8 +412,8 @@ class Circuit:
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
         """Return computed minus measured cell voltage [V] of all flights, as one vector.
 
-        The battery of each flight has a factor of its own on the resistance of the model. The
-        first seconds under load determine this factor, and are therefore left out of the result.
+        Each flight has its own factor on the resistance. The first seconds under load determine
+        this factor, and are left out of the result.
 
         Parameters
         ----------
@@ -535,11 +534,11 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 
 
 def _resistance(values: FloatArray) -> float:
-    """Return the total resistance of a cell [ohm], to which the voltage drop tends under load.
+    """Return the total resistance of a cell after a long time under load [ohm].
 
-    The total is the ohmic resistance, whose voltage drop is immediate, plus the resistance of the
-    relaxation (RC pair), whose voltage drop builds up slowly. `values` are the logarithms of the
-    fitted fields, in the order of `FITTED`, which lists these fields.
+    The total has two parts: the ohmic resistance, which acts at once, and the resistance of the
+    relaxation, whose voltage drop builds up slowly. `values` are the logarithms of the fitted
+    fields, in the order of the mapping `FITTED`.
     """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
@@ -584,9 +583,9 @@ def with_circuit(scenario: Scenario) -> Scenario:
 def _as_given(scenario: Scenario) -> list[float]:
     """Return the initial values of the battery fields that are fitted.
 
-    They are the values in `scenario`, in the order of `FITTED`, which lists the fitted fields. If
-    the scenario gives no relaxation or no activation energy, positive numbers replace them, because
-    the fields are fitted as logarithms.
+    The values are those of `scenario`, in the order of `FITTED`, which lists the fitted fields. The
+    fields are fitted as logarithms. Positive numbers therefore replace a missing relaxation and a
+    missing activation energy.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

@@ -231,10 +231,14 @@ def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     """Yield the lines of a vehicle or battery file (TOML), one for each entry.
 
     An entry is a number with its source, or a plain value such as the name of the base vehicle.
-    `table` has the entries as nested mappings, and is the whole file or a table in the file. Each
-    line begins with the dotted key of the entry, such as ``fields.mass``. `path` is the beginning
-    of this key that all entries of `table` have in common, with a dot at its end; it is empty for
-    the whole file.
+    Each line begins with the dotted key of the entry, such as ``fields.mass``.
+
+    Parameters
+    ----------
+    table : mapping
+        Entries as nested mappings: the whole file, or a table in the file.
+    path : str, optional
+        Key of the table with a dot at its end, such as ``fields.``; empty for the whole file.
     """
     for name, content in table.items():
         key = f"{path}{name}"

@@ -1,8 +1,8 @@
 """Fit of a vehicle's power model to points of steady flight.
 
 The points are measured powers at several airspeeds (a polar), in hover, or with several payloads.
-Method: see docs/theory/identification.md, "Steady points". A point is treated like a row of a
-flight log with zero acceleration, for which the model gives the power.
+Each point is treated like a row of a flight log with zero acceleration, and the model computes its
+power. Method: see docs/theory/identification.md, "Steady points".
 """
 
 from collections.abc import Sequence
@@ -152,8 +152,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
-    If the points have endurances in place of powers, the power is 80 % of the energy stored in the
-    vehicle's battery, divided by the endurance. This assumes that a flight uses 80 % of the stored
+    The points may have endurances in place of powers. The power is then 80 % of the energy stored
+    in the vehicle's battery, divided by the endurance: a flight is assumed to use 80 % of the
     energy.
 
     Parameters
@@ -185,9 +185,13 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 def _read_csv(file: Path) -> pd.DataFrame:
     """Read a CSV table of steady flight points: the columns that `STEADY_COLUMNS` lists.
 
-    Other columns of the table are ignored. `file` is the path of the table. A `ScenarioError` is
-    raised if the file cannot be read, or if the table has no rows, has text in a column, or has
-    neither a column of powers nor a column of endurances.
+    Other columns of the table are ignored. `file` is the path of the table.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read, or if the table has no rows or has text in a column. Also if the
+        table has neither powers nor endurances.
     """
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:

@@ -157,8 +157,8 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
     frame : DataFrame
         Rows of the flights.
     fitted : callable
-        Function that fits a model to the rows that a boolean array of shape (n_rows,) selects, and
-        returns the power that the fitted model gives in every row [W].
+        Function of a boolean array, shape (n_rows,). It fits a model to the rows where the array is
+        True. It returns the power of the fitted model in all rows [W].
 
     Returns
     -------
@@ -185,8 +185,8 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     frame : DataFrame
         Rows of the flights.
     fitted : callable
-        Function that fits a model to the rows that a boolean array of shape (n_rows,) selects, and
-        returns the power that the fitted model gives in every row [W].
+        Function of a boolean array, shape (n_rows,). It fits a model to the rows where the array is
+        True. It returns the power of the fitted model in all rows [W].
 
     Returns
     -------
@@ -215,10 +215,10 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 
 
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
-    """Return for each row the usual ground speed in cruise of the row's flight [m/s].
+    """Return the usual ground speed in cruise [m/s] of the flight that each row belongs to.
 
-    It is the 90 % quantile over the flight's cruise, rounded to steps of 2 m/s. Flights are grouped
-    by this speed, for example into slow and fast flights.
+    The usual speed is the 90 % quantile over the flight's cruise, rounded to steps of 2 m/s. It
+    serves to group flights, for example into slow and fast flights.
 
     Parameters
     ----------

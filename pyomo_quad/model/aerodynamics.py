@@ -1,14 +1,14 @@
 """The aerodynamic force on the airframe, in world axes, and its moments.
 
-The force is the sum of two parts. For the first part, the scenario's `wind.coupling` selects one of
-two laws:
+The force is the sum of two parts. The first part follows one of two laws, which the scenario's
+`wind.coupling` selects:
 
-`acceleration` is eq. (9) of the paper (Yacef et al.) as printed: the wind velocity, times an
+`acceleration` is eq. (9) of the paper (Yacef et al.) as printed. The wind velocity, times an
 implied coefficient of 1 1/s, is added to the acceleration of the vehicle. The vehicle's own
 velocity does not enter.
 
-`drag` is an isotropic drag: with v the airspeed, the velocity of the vehicle relative to the air,
-the force is -(d_1 + d_2 abs(v)) v. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
+`drag` is an isotropic drag: the force is -(d_1 + d_2 abs(v)) v. The airspeed v is the velocity of
+the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
 `drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. It is the default
 for a vehicle that has a drag coefficient of any kind.
 
@@ -66,10 +66,10 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    They are the coefficient of eq. (9) of Yacef et al., if `wind.coupling` is "acceleration"; the
-    vehicle's coefficients of rotor drag and translational lift, unless all of these are zero; and
-    its coefficients of parasitic drag, unless all of these are zero. The coefficients of the
-    isotropic drag are parameters of block `vehicle`.
+    If `wind.coupling` is "acceleration", the coefficient of eq. (9) of Yacef et al. is a parameter.
+    If the vehicle has rotor drag or translational lift, their coefficients are parameters. If the
+    vehicle has parasitic drag, its coefficients are parameters. The coefficients of the isotropic
+    drag are parameters of block `vehicle`.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -91,10 +91,10 @@ def acts_in_body_axes(scenario: Scenario) -> bool:
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
 
-    The block gets expressions over time: the forces along the world axes [N], `force_x`, `force_y`
-    and `force_z`, and the moments about the body axes [N m], `roll_moment`, `pitch_moment` and
-    `yaw_moment`. The moments are declared only if the vehicle has a coefficient of rotor drag or
-    translational lift, the two forces that act at each rotor.
+    The block gets expressions over time. The expressions `force_x`, `force_y` and `force_z` are the
+    forces along the world axes [N]. The expressions `roll_moment`, `pitch_moment` and `yaw_moment`
+    are the moments about the body axes [N m]. The moments are declared only for a vehicle with
+    rotor drag or translational lift, the two forces that act at each rotor.
 
     Parameters
     ----------
@@ -102,9 +102,9 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `time`, `vehicle`, `rotors`, `wind`, and velocities and attitude
         in `rigid_body`.
     scenario : Scenario
-        Its `wind.coupling` says how the wind acts on the vehicle: through an isotropic drag, which
-        depends on the airspeed, or as the acceleration of eq. (9) of Yacef et al. The vehicle's
-        coefficients say which forces along the body axes are added.
+        Its `wind.coupling` says how the wind acts on the vehicle: through an isotropic drag, or as
+        the acceleration of eq. (9) of Yacef et al. The vehicle's coefficients say which forces
+        along the body axes are added.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -132,8 +132,8 @@ def declare_unexplained(m: ConcreteModel) -> None:
     """Declare a constant horizontal acceleration that no other equation of the model explains.
 
     The acceleration is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A
-    planner in flight sets it to the difference between the observed and the modelled acceleration,
-    which is not zero in a wind that differs from the forecast.
+    planner in flight sets it to the observed minus the modelled acceleration. This difference is
+    not zero if the wind differs from the forecast.
 
     Parameters
     ----------
@@ -175,11 +175,10 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
     """Return the wind forces of eq. (9) as Pyomo rules, with their documentation texts.
 
-    The equation, as printed in the paper (Yacef et al.), adds a multiple of the wind velocity to
-    the acceleration of the vehicle; the factor has the unit 1/s. The force is this acceleration
-    times the mass. The keys of the result are the names of the forces along the world axes:
-    `force_x`, `force_y` and `force_z`. `updraft` is the vertical wind over time, or None for a
-    horizontal wind.
+    Eq. (9), as printed in the paper (Yacef et al.), adds the wind velocity, times a factor in 1/s,
+    to the acceleration of the vehicle. The wind force is the added acceleration times the mass. The
+    keys of the result are the names of the forces along the world axes: `force_x`, `force_y` and
+    `force_z`. `updraft` is the vertical wind over time, or None for a horizontal wind.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -231,10 +230,19 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
     """Declare the drag coefficient, and return the drag forces along the world axes.
 
-    The drag coefficient, drag divided by airspeed [kg/s], is declared in the block `b` as an
-    expression over time. The forces are returned as Pyomo rules with their documentation texts; the
-    keys are their names, `force_x`, `force_y` and `force_z`. `m` is the mission's model, to which
-    the block belongs.
+    The drag coefficient is the drag divided by the airspeed [kg/s], as an expression over time.
+
+    Parameters
+    ----------
+    b : Block
+        Block that receives the drag coefficient.
+    m : ConcreteModel
+        Model of the mission, to which the block belongs.
+
+    Returns
+    -------
+    dict
+        Pyomo rule and documentation text of each force, by name: `force_x`, `force_y`, `force_z`.
     """
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
@@ -336,10 +344,18 @@ def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
     The sum along a body axis consists of the parasitic drag and of the drag and translational lift
-    of all rotors, as far as the vehicle of `scenario` has their coefficients. The sum along a world
-    axis consists of these forces, rotated to world axes, and of the force that `b` already has
-    along this world axis: the isotropic drag, or the wind force of eq. (9) of Yacef et al. `b` is
-    the block `aerodynamics` of the model `m`, to which the sums are added as expressions over time.
+    of all rotors. Forces whose coefficients are all zero are left out. For the sum along a world
+    axis, these forces are rotated to world axes. Then the force on the airframe is added, which the
+    block already has: the isotropic drag, or the wind force of eq. (9) of Yacef et al.
+
+    Parameters
+    ----------
+    b : Block
+        Block `aerodynamics`, which receives the sums as expressions over time.
+    m : ConcreteModel
+        Model of the mission, to which the block belongs.
+    scenario : Scenario
+        Scenario with the vehicle.
     """
     by_axis = any(scenario.vehicle.parasitic_drag)
     has_rotor_forces = scenario.vehicle.has_rotor_forces

@@ -10,16 +10,19 @@ c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance of the vehicle from ball k (negative inside), minus c
 w | edge_width | m | width over which two faces of a zone are blended
 
-A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its centre. The
+A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its centre. Its
 distance is measured in one coordinate (an interval), in two (a disk) or in three (a sphere). A
-cylinder is the intersection of a disk and an interval of height, a box that of three intervals. A
-prism over a convex polygon is the intersection of an interval across each edge and an interval of
-height. A place is outside the zone if it is outside at least one of the balls, that is, if the
-largest of the d_k is positive. A smooth lower bound replaces this maximum in the model, so that no
-place inside a zone is allowed. Near an edge of the zone, where two of the d_k differ by less than
-about w, places up to 0.14 w = 70 mm outside the zone (0.28 w = 140 mm at the corners of a box) are
-forbidden, too. Elsewhere the forbidden places are exactly the zone. The clearance moves each face
-outwards by the distance c, and does not round the edges between the faces.
+cylinder is the intersection of a disk and an interval of height. A box is the intersection of three
+intervals. A prism over a convex polygon is the intersection of an interval across each edge and an
+interval of height.
+
+A place is outside the zone if it is outside at least one of the balls, that is, if the largest of
+the d_k is positive. In the model, a smooth lower bound replaces this maximum. No place inside a
+zone is therefore allowed, but some places outside are forbidden, too. They are near an edge of the
+zone, where two of the d_k differ by less than about w, and at most 0.14 w = 70 mm from the zone. At
+the corners of a box, they are at most 0.28 w = 140 mm from the zone. Elsewhere the forbidden places
+are exactly the zone. The clearance moves each face outwards by the distance c, and does not round
+the edges between the faces.
 
 A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
 Near a corner of the prism, where several of the d_k are nearly equal, up to 0.14 w more is
@@ -29,13 +32,13 @@ The fence (`keep_in`) is a linear limit for each of its edges. The fence is exac
 corners included, and has no clearance.
 
 Over terrain, floor and ceiling limit the height above the ground, which the module `model.ground`
-declares, and flights stay where the ground is known, within the edges of the terrain's grid. In a
-wind field, flights stay within the edges of the field's grid, unless the scenario extends the field
-beyond them (`wind.beyond = "hold"`). Bottom and top of a zone are coordinates z, to which the
-height of the ground is not added.
+declares. Flights stay within the edges of the terrain's grid, where the ground is known. In a wind
+field, flights stay within the edges of the field's grid. With `wind.beyond = "hold"`, the scenario
+extends the field beyond these edges, and the edges are no limit. Bottom and top of a zone are
+coordinates z, to which the height of the ground is not added.
 
-`declare_airspace` raises an error for a mission with a start, goal or waypoint on the surface of a
-zone, because there the smallest deviation towards the zone would be forbidden.
+`declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone, because
+the smallest deviation from such a place towards the zone would be forbidden.
 """
 
 from collections.abc import Mapping, Sequence
@@ -76,9 +79,9 @@ _TOUCHING_M = 5e-5
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `airspace`.
 
-    They are the numbers of floor, ceiling, fence, edges of terrain and wind data, and keep-out
-    zones, as far as the scenario has them. Each `Parameter` states name, unit and meaning, and how
-    its value follows from a scenario.
+    The parameters are numbers of floor, ceiling, fence, edges of terrain and wind data, and
+    keep-out zones. Each `Parameter` states name, unit and meaning of a number, and how its value
+    follows from a scenario.
     """
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
@@ -130,12 +133,11 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
-    A ball contains the places whose distance from its centre, measured along one, two or three
-    axes, is at most its radius. A ball of one axis is a slab between two parallel planes, a ball of
-    two axes a vertical cylinder. The ball of a polygon's edge is a slab between two vertical
-    planes, whose normal need not be along x or y. The returned axes of such a slab are therefore
-    both x and y, and the returned centre is the place midway between the planes that is nearest to
-    the origin.
+    A ball contains the places whose distance from its centre is at most its radius. A ball of one
+    axis is a slab between two parallel planes. A ball of two axes is a vertical cylinder. A ball
+    across an edge of a polygon is a slab between two vertical planes, which may have any horizontal
+    direction. The axes of such a slab are x and y. Its centre is the place midway between the
+    planes that is nearest to the origin.
 
     Returns
     -------
@@ -275,15 +277,16 @@ def _inside(
 ) -> RelationalExpression:
     """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t.
 
-    The grid is the grid of the terrain or of a wind field. This function is a Pyomo rule after its
-    first two arguments have been fixed.
+    The data are terrain or a wind field. This function becomes a Pyomo rule when its first two
+    arguments have been fixed.
 
     Parameters
     ----------
     edges : mapping
-        For each edge of the grid, by name: the axis across the edge (0, 1 or 2 for x, y or z), the
-        side (1 if the edge limits the coordinate from above, -1 from below) and the edge's
-        coordinate [m]. The coordinate is not used here, because the model has it as a parameter.
+        Axis, side and coordinate of each edge of the grid, by the edge's name. The axis across the
+        edge is 0, 1 or 2 for x, y or z. The side is 1 if the edge limits the coordinate from above,
+        and -1 from below. The coordinate [m] is not used here, because the model has it as a
+        parameter.
     parameter : str
         Name of the Pyomo parameter of block `airspace` that holds the coordinate of each edge [m].
     b : Block
@@ -354,9 +357,9 @@ def _largest(distances: Sequence[Any], width: Any) -> Any:
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
-    The surface is that of the forbidden places. These are the zone, enlarged by the clearance, and
-    the places near its edges that the smooth maximum of the model forbids, too. A waypoint with a
-    radius is not checked, because the flight may pass beside the waypoint.
+    The surface is the surface of the forbidden places: the zone, enlarged by the clearance, and
+    some places near its edges, which the model forbids because it smooths the edges. A waypoint
+    with a radius is not checked, because the flight may pass beside the waypoint.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
@@ -380,9 +383,9 @@ def _refuse_touching(scenario: Scenario) -> None:
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the smoothed distance of a place from a zone, less the clearance [m].
 
-    `clearance` is the distance that flights must keep from zones [m], and `place` the position x,
-    y, z [m]. The smoothing is the same as in the path constraint `keep_out`. The result is negative
-    where this constraint forbids the place, for example inside the zone.
+    The smoothing is that of the path constraint `keep_out`. The result is negative where the
+    constraint forbids the place, for example inside the zone. `clearance` is the distance that
+    flights must keep from zones [m], and `place` the position x, y, z [m].
     """
     distances = [
         _distance_outside(

@@ -13,23 +13,23 @@ f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with b
 The module `battery_circuit` adds a slow voltage drop and a temperature of the pack if the scenario
 gives their constants. Derivation and sources: see docs/theory/battery.md, eqs. (1) to (6).
 
-P is the power of the chosen power model, so that the energy of the flight is the energy that leaves
-the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
+P is the power of the chosen power model. The energy of the flight is therefore the energy that
+leaves the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
 
-Assumptions: no self-discharge, no entropic heat, an open-circuit voltage that does not depend on
-the temperature; without the tables `battery.relaxation` and `battery.thermal` of the scenario, no
-recovery of the voltage at rest and no temperature.
+Assumptions: no self-discharge, no entropic heat, and an open-circuit voltage that does not depend
+on the temperature. Without the scenario's table `battery.relaxation`, the voltage does not recover
+at rest. Without the table `battery.thermal`, the pack has no temperature.
 
-The paper's equations are undefined in two cases: eq. (5) has a pole at an empty cell, and no
+The paper's equations are undefined in two cases. Eq. (5) has a pole at an empty cell. And no
 current delivers more than the pack's greatest power U^2/(4 R), where U is the open-circuit voltage
-(less the relaxation voltage) and R the resistance of the pack. Two guards (smooth lower limits on
-the state of charge and on the share of the greatest power that is left) keep the equations finite.
-Above a fifth of the charge and below nine tenths of the greatest power, the guards change no result
-by more than rounding. The pack cannot fly the mission if the state of charge or `power_reserve`,
-the greatest power less the power drawn, is negative.
+(less the relaxation voltage) and R the resistance of the pack. Two guards keep the equations
+finite: a smooth lower limit on the state of charge, and one on the share of the greatest power that
+is left. Above a fifth of the charge and below nine tenths of the greatest power, the guards change
+no result by more than rounding. The expression `power_reserve` is the greatest power less the power
+drawn. If it or the state of charge is negative, the pack cannot fly the mission.
 
 If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
-the pack is empty. Where the voltage is negative, the greatest power is negative, too; the flights
+the pack is empty. Where the voltage is negative, the greatest power is negative, too. The flights
 are therefore limited to e_m >= 0.
 """
 
@@ -172,9 +172,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
-    The energy delivered plus this loss equals the charge drawn times the open-circuit voltage at
-    the start. A mission that minimises the charge has this sum as its objective. See
-    docs/theory/battery.md, eqs. (11) to (12).
+    The objective of these missions is the energy delivered plus the energy lost. This sum equals
+    the charge drawn times the open-circuit voltage at the start. See docs/theory/battery.md, eqs.
+    (11) to (12).
 
     Parameters
     ----------
