@@ -279,9 +279,9 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from an unaged cell at the battery's present state of charge [A h].
 
-    The constants of eq. (5) apply to an unaged cell. An unaged cell has a larger capacity, so that
-    more charge has been drawn from it at the same state of charge. `b` is the block `battery`, and
-    `t` the time in flight [s].
+    The result is the charge drawn from one cell, divided by the capacity factor of an aged battery.
+    This scaling is needed because the constants of eq. (5) hold for an unaged cell. `b` is the
+    block `battery`, and `t` the time in flight [s].
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

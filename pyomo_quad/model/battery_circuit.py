@@ -6,12 +6,13 @@ R_1, tau_1 | relaxation_resistance, relaxation_time_constant | ohm, s | of one c
 T | temperature | K | of the pack, a state
 C_T, h | heat_capacity, cooling | J/K, W/K | of one cell
 T_a | ambient_temperature | K | of the air
-T_r | reference_temperature | K | to which the resistances in the scenario refer
+T_r | reference_temperature | K | for which the scenario gives the resistances
 E_a | activation_energy | J/mol | of the resistances, in Arrhenius's law
 s_R | resistance_share | - | resistance at the temperature T over resistance at T_r
 
-Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). Without `battery.relaxation`
-in the scenario no RC pair is declared, without `battery.thermal` no temperature.
+Derivation and sources: see docs/theory/battery.md, eqs. (4) to (10). The RC pair is declared only
+if the scenario has the table `battery.relaxation`. The temperature is declared only if the scenario
+has the table `battery.thermal`.
 
 Assumptions: all cells alike and at one temperature, no entropic heat, one time constant at all
 temperatures and states of charge.
@@ -60,9 +61,8 @@ LOSS = "battery.loss"
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of relaxation, temperature and health of a scenario's battery.
 
-    Each `Parameter` declares one number of the model's block `battery`, with unit and meaning. The
-    parameters of a part that the battery does not have (the relaxation voltage, for example) are
-    left out.
+    Each `Parameter` declares one number of the model's block `battery`, with unit and meaning. A
+    part without a table in the scenario, such as the relaxation voltage, has no parameters.
     """
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
@@ -87,18 +87,17 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return scenario fields with which the next flight continues from the state of the battery.
+    """Return the scenario fields that carry the state of the battery over to the next flight.
 
-    The next flight then starts with the relaxation voltage and the temperature that the battery has
-    at the end of the previous flight. The initial charge is not among the fields; the caller sets
-    it.
+    The fields set the initial relaxation voltage and the initial temperature of the next flight.
+    The caller sets the initial charge, which is not among the fields.
 
     Parameters
     ----------
     scenario : Scenario
         Scenario of the flight that has ended.
     ended : mapping
-        Values of the states at the end of that flight, by full name, as ``"battery.temperature"``.
+        Values of the states at the end of the flight, by full name, as ``"battery.temperature"``.
 
     Returns
     -------
@@ -118,8 +117,9 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare relaxation voltage [V] and temperature [K] of the pack as states, if modelled.
 
-    The states are added to `b`, the block `battery` of the model `m`. Each of the two is declared
-    only if the scenario's battery has the table `relaxation` or `thermal`, respectively.
+    The relaxation voltage is declared only if the scenario has the table `battery.relaxation`, the
+    temperature only if the scenario has the table `battery.thermal`. The states are added to `b`,
+    the block `battery` of the model `m`.
     """
     pack = scenario.battery
     if pack.relaxation is not None:
@@ -144,9 +144,9 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the differential equations of relaxation voltage and temperature, if modelled.
 
-    The equations and the initial conditions of both states are added to `b`, the block `battery` of
-    the model `m`. Each state has its equation only if the scenario's battery has the table
-    `relaxation` or `thermal`, respectively.
+    Each equation comes with the initial condition of its state. The equation of the relaxation
+    voltage needs the scenario's table `battery.relaxation`, the equation of the temperature needs
+    the table `battery.thermal`. All are added to `b`, the block `battery` of the model `m`.
     """
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
@@ -162,9 +162,8 @@ def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def _line(equation: object) -> str:
     """Return the first line of the docstring of an equation's function, without the final period.
 
-    The function `equation` is the Pyomo rule of a constraint or expression. The result is used as
-    the documentation text of this constraint or expression, which reports print as the description
-    of the equation.
+    `equation` is the function that a Pyomo constraint or expression has as its rule. The result
+    becomes the documentation text of the constraint or expression. Reports print this text.
     """
     return str(equation.__doc__).partition("\n")[0].rstrip(".")
 
@@ -192,8 +191,8 @@ def resistance_at(b: Block, t: float) -> NumericExpression:
 def source_voltage(b: Block, t: float) -> NumericExpression:
     """Open-circuit voltage less the relaxation voltage, before the ohmic drop [V].
 
-    Without a relaxation voltage in the scenario, this is the open-circuit voltage. `b` is the block
-    `battery`, and `t` the time in flight [s]. See docs/theory/battery.md, eq. (5).
+    Without a relaxation voltage in the scenario, the result is the open-circuit voltage. `b` is the
+    block `battery`, and `t` the time in flight [s]. See docs/theory/battery.md, eq. (5).
     """
     if b.component("relaxation_voltage") is None:
         return b.open_circuit_voltage[t]
@@ -216,8 +215,9 @@ def relaxation_balance(b: Block, t: float) -> RelationalExpression:
     """RC pair: the relaxation voltage tends to the battery current times the pair's resistance [V].
 
     The RC pair (a resistor and a capacitor in parallel) models the slow part of the voltage drop.
-    The result is the differential equation of the relaxation voltage, the voltage of this pair, at
-    the time `t` [s]; `b` is the block `battery`. See docs/theory/battery.md, eq. (8).
+    The relaxation voltage is the voltage of the RC pair, and the result is the differential
+    equation of this voltage. `b` is the block `battery`, and `t` the time in flight [s]. See
+    docs/theory/battery.md, eq. (8).
     """
     settled = slow_resistance(b, t) * b.current[t]
     return (
@@ -248,9 +248,10 @@ def heat(b: Block, t: float) -> NumericExpression:
 def heat_balance(b: Block, t: float) -> RelationalExpression:
     """Lumped temperature: heat of the losses less the heat lost to the air [W].
 
-    The temperature is equal in all cells. The result is its differential equation at the time `t`
-    [s]: the heat capacity times the rate of the temperature equals the difference of the two heat
-    flows. `b` is the block `battery`. See docs/theory/battery.md, eq. (10).
+    The result is the differential equation of the temperature, which is equal in all cells. The
+    heat capacity times the rate of the temperature equals the heat of the losses less the heat lost
+    to the air. `b` is the block `battery`, and `t` the time in flight [s]. See
+    docs/theory/battery.md, eq. (10).
     """
     cells = b.cells_series * b.cells_parallel
     warming = cells * b.heat_capacity * b.dtemperature_dt[t]

@@ -1,7 +1,7 @@
 """Functions that build the continuous-time Pyomo model of a mission.
 
-A scenario may name a Python function of the user that builds the model instead. Functions of this
-module load such a function, the model builder.
+A scenario may name a model builder: a Python function of the user that builds the model instead.
+The functions `model_builder` and `load_builder` load it.
 """
 
 from collections.abc import Callable, Hashable
@@ -48,13 +48,13 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        Model with the set ``time``, which is not discretised: it has the start, the times at which
-        waypoints are reached and left (without waypoints, half the duration) and the end. The
-        parameter ``clock`` is the time, for equations that depend on time. The blocks are
-        ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery, limits, airspace,
-        mission``; over terrain, the model also has the block ``ground``. The integral ``energy`` of
-        the power over time [J] is the energy of the flight. The ``objective`` is minimised. The
-        suffix ``scaling_factor`` holds one over the usual magnitude of each variable.
+        Model with the blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery,
+        limits, airspace, mission`` and, over terrain, ``ground``. The set ``time`` is not
+        discretised. It has the start, the end, and the times at which waypoints are reached and
+        left; without waypoints, it has the start, half the duration and the end. The parameter
+        ``clock`` is the time, for equations that depend on time. ``energy`` is the energy of the
+        flight [J], the integral of the power over time. The ``objective`` is minimised. The suffix
+        ``scaling_factor`` holds one over the usual magnitude of each variable.
 
     Examples
     --------
@@ -72,7 +72,7 @@ def build_model(scenario: Scenario) -> ConcreteModel:
 
 
 def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
-    """Build the model of a mission in the turbulence of its wind, for simulated flights.
+    """Build the model of a mission in turbulent wind, for simulated flights.
 
     Parameters
     ----------
@@ -82,10 +82,10 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        The model of `build_model` with two additions: the Dryden shaping filters in block
-        `wind.turbulence`, and two mutable parameters, initially zero. The parameters are the error
-        of the wind forecast, ``wind.error`` by axis [m/s], and the relative error of the power
-        model, ``power.error``.
+        The model of `build_model` with two additions. The block `wind.turbulence` has the Dryden
+        shaping filters, which turn white noise into gusts. Two mutable parameters, initially zero,
+        are errors: ``wind.error`` is the error of the wind forecast by axis [m/s], and
+        ``power.error`` the relative error of the power model.
 
     Examples
     --------
@@ -115,13 +115,15 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        The model of `build_model` with four differences. The states at the start are mutable
-        parameters of block `start`. The flight ends in steady hover, tilted against the wind. The
-        mutable parameter `aerodynamics.unexplained` adds a horizontal acceleration [m/s^2] to the
-        modelled one. The parameter is initially zero; the planner that replans the mission during
-        the flight sets it to the difference between observed and modelled acceleration. The limits
-        are soft: a flight may violate them, but each violation adds a penalty to the objective (see
-        the module `model.soft_limits`).
+        The model of `build_model` with four differences:
+
+        - The states at the start are mutable parameters of block `start`.
+        - The flight ends in steady hover, tilted against the wind.
+        - The mutable parameter `aerodynamics.unexplained` [m/s^2] is added to the modelled
+          horizontal acceleration. It is initially zero. During the flight, the planner sets it to
+          the observed acceleration less the modelled acceleration.
+        - The limits are soft: a flight may violate them, but each violation adds a penalty to the
+          objective. See the module `model.soft_limits`.
 
     Examples
     --------
@@ -181,11 +183,11 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
 
-    They are added to the Pyomo model `m`, which already declares motion, wind and power. The
-    objective is the energy of the flight [J]. If the optimiser chooses the duration, the product of
-    the scenario's field `mission.price_of_time` [W] and the duration [s] is added to the objective.
-    If the mission minimises the charge, the objective also includes the energy lost inside the
-    pack, see docs/theory/battery.md, eq. (12). `scenario` gives the values and selects the limits.
+    The objective is the energy of the flight [J]. If the duration is free, `mission.price_of_time`
+    of the scenario [W] times the duration [s] is added. If the mission minimises the charge, the
+    energy lost inside the pack is added; see docs/theory/battery.md, eq. (12). `m` is the model,
+    which already declares motion, wind and power. `scenario` gives the values and selects the
+    limits.
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
@@ -212,9 +214,8 @@ def parameter_values(scenario: Scenario) -> dict[str, float]:
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose values are returned. To re-solve a model that was built from another
-        scenario, both scenarios must have the same compiled model. This is the case if the function
-        `structure_key` returns equal keys for them.
+        Scenario whose values are returned. The values fit a model that was built from another
+        scenario only if the function `structure_key` returns equal keys for both scenarios.
 
     Returns
     -------
@@ -244,9 +245,9 @@ def structure_key(scenario: Scenario) -> Hashable:
     Returns
     -------
     hashable
-        Equal for scenarios whose models differ only in the values of parameters and in the length
-        of a fixed duration. The compiled model of one such scenario can be solved for another one
-        with the values from `parameter_values`.
+        Two scenarios have equal keys if their models differ only in the values of parameters and in
+        the length of a fixed duration. The compiled model of one scenario can then be solved for
+        the other scenario, with the values from `parameter_values`.
 
     Examples
     --------
@@ -293,9 +294,9 @@ def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: flo
         A mission's model, not yet discretised. If the model already has a variable duration, the
         bounds of this variable are replaced.
     bounds : pair of float
-        Least and greatest duration to search [s].
+        Least and greatest permitted duration [s].
     guess : float
-        Duration at which the search starts [s].
+        Initial guess of the duration [s].
 
     Returns
     -------
@@ -339,7 +340,8 @@ def model_builder(scenario: Scenario, *, is_code_allowed: bool) -> Builder:
     Raises
     ------
     ScenarioError
-        If the scenario names a builder and code is not allowed, or the builder cannot be loaded.
+        If the scenario names a builder and `is_code_allowed` is false. Also if the builder cannot
+        be loaded.
 
     Examples
     --------
@@ -373,8 +375,9 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
     Raises
     ------
     ScenarioError
-        If there is no such file or function, or the file fails. The returned function raises the
-        same exception if the user's function returns no ConcreteModel.
+        If the file or the function does not exist, or the file raises an exception. The returned
+        function raises `ScenarioError`, too, if the user's function fails or returns no
+        ConcreteModel.
 
     Examples
     --------

@@ -14,8 +14,7 @@ through values on the same grid; the module `scenario.surfaces` computes the val
 the splines through the class `collocation.Table`: they are twice differentiable with exact
 derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance
 between the ground and a surface, U or L, is at most the attribute `excess` of this surface. A
-flight whose height above U just equals the floor is therefore higher above the ground than the
-floor requires, but by `excess` at most.
+vehicle at the floor above U is therefore at most `excess` higher above the ground than the floor.
 
 Over flat ground, both heights z - U and z - L equal z, and no block is declared.
 """
@@ -36,11 +35,11 @@ _SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited
 def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
 
-    A floor is the least permitted height above the ground, a ceiling the greatest. The heights are
-    expressions over time [m] in the block `ground`. `height_limited_below` is the height above a
-    smooth surface that is nowhere below the ground; a floor limits this height.
-    `height_limited_above` is the height above a smooth surface that is nowhere above the ground; it
-    is declared only if the scenario has a ceiling, which limits this height.
+    A floor is the least permitted height above the ground, a ceiling the greatest. The block
+    `ground` has two heights as expressions over time [m]. `height_limited_below`, for a floor, is
+    the height above a smooth surface that is nowhere below the ground. `height_limited_above`, for
+    a ceiling, is the height above a smooth surface that is nowhere above the ground. Without a
+    ceiling in the scenario, `height_limited_above` is not declared.
 
     Parameters
     ----------
@@ -70,12 +69,19 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
-    """Return the vehicle's height above the ground, for the limit by a floor or a ceiling [m].
+    """Return the vehicle's height above the ground, to be limited by a floor or a ceiling [m].
 
-    Over terrain, the height is measured from a smooth surface: for a floor (`side` 1) from a
-    surface that is nowhere below the ground, for a ceiling (`side` -1) from a surface that is
-    nowhere above the ground. Over flat ground, the height is z. `m` is the mission's model, and `t`
-    the time in flight [s].
+    Over flat ground, the height is z. Over terrain, the height is measured from a smooth surface.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        The mission's model.
+    t : float
+        Time in flight [s].
+    side : int, optional
+        1 for a floor: over terrain, the surface is nowhere below the ground. -1 for a ceiling: the
+        surface is nowhere above the ground.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

@@ -11,16 +11,16 @@ q | charge_home | A h | charge of the return to the nearest home
 
 A home is a place at which the vehicle may land: the start of the mission, or a rally point.
 
-The return is a steady, level flight at one airspeed V, at which the pack delivers a constant
-current i. At the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2) the distance d takes the time d /
-g, so that the charge of the return is (1 + margin) i d / g. The wind along the return is taken
-equal to the wind at the vehicle, and a difference of height counts as distance; the margin covers
-the errors of these assumptions.
+The return is a steady, level flight at one airspeed V. The pack delivers a constant current i. At
+the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2), the distance d takes the time d / g. The charge
+of the return is (1 + margin) i d / g. The wind along the return is assumed equal to the wind at the
+vehicle. A difference of height counts as distance. The margin covers the errors of both
+assumptions.
 
-Over terrain the vehicle first climbs, without coming closer to the home, until its height above the
-highest ground on the straight line to the home is the floor of the airspace (least height above the
-ground). The vehicle then flies level to the place above the home, and descends; the descent counts
-as distance. See docs/theory/homing.md.
+Over terrain the vehicle first climbs to the height H_k, without coming closer to the home. H_k is
+the highest ground on the straight line to the home, plus the floor of the airspace (the least
+permitted height above the ground). The vehicle then flies level to the place above the home, and
+descends; the descent counts as distance. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -83,9 +83,9 @@ _USABLE_CHARGE = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of the return flight; empty for a mission without return reserve.
 
+    The return reserve is the charge that a plan keeps for a flight to the nearest landing place.
     Each `Parameter` declares one number of the model's block `homing`, such as the airspeed of the
-    return, the margin of charge and the positions of the homes. The return reserve is the charge
-    that a plan keeps for a flight to the nearest landing place.
+    return, the margin of charge and the positions of the landing places.
     """
     if not scenario.mission.return_reserve:
         return ()
@@ -96,24 +96,24 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def terrain_key(scenario: Scenario) -> Hashable:
-    """Return the homes for which a model has tables of terrain; None if it has no such tables.
+    """Return the places of the homes if the model has a height table for each home, or None.
 
-    Over terrain, the model of a mission that keeps charge for a return flight has a table of
-    heights for each home (the start of the mission, or a rally point): the heights that clear the
-    ground on the straight way to this home. Changing parameter values does not change the tables.
-    The result is therefore part of the key by which the function `structure_key` tells compiled
-    models apart, so that a compiled model is not used again for other homes.
+    A home is the start of the mission or a rally point. The model has the tables if the scenario
+    has terrain and keeps charge for a return flight. A table gives the heights that clear the
+    ground on the straight way to its home. A new parameter value does not change a table, so a
+    compiled model is not valid for other homes. The result is therefore part of the key that the
+    function `structure_key` returns.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
 
 
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare the charge that a return flight needs at each time, and its limit, in block `homing`.
+    """Declare the charge of a return flight in block `homing`, and the limit that reserves it.
 
-    The limit holds at each time of the mission: the charge drawn so far plus the charge of the
-    return to the nearest home (the start or a rally point) does not exceed the usable charge. The
-    usable charge is the capacity of the pack less the least charge that must remain in it.
+    A home is the start of the mission or a rally point. At each time of the mission, the charge
+    drawn so far plus the charge of the return to the nearest home must not exceed the usable
+    charge. The usable charge is the capacity of the pack less the least charge that must remain.
 
     Parameters
     ----------
@@ -171,10 +171,10 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare height, climb and length of a return flight over terrain, for each home and time.
 
-    On the return, the vehicle first climbs to a height that clears the ground on the straight way
-    to the home, then flies level, and descends at the home. The expressions are the level height
-    `height_home`, the climb to it from the vehicle's height, `climb`, and `way_flown`, the length
-    of level flight and descent (all in m).
+    On the return, the vehicle climbs to a height that clears the ground on the straight way to the
+    home. It then flies level, and descends at the home. The expression `height_home` is the height
+    of the level flight [m]. `climb` is the climb from the vehicle's height to `height_home` [m].
+    `way_flown` is the length of level flight and descent [m].
 
     Parameters
     ----------

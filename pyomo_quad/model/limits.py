@@ -1,14 +1,16 @@
 """Limits on attitude, rotors, thrust and moments, and on the battery.
 
-The module declares the limits of eq. (10) of the paper (Yacef et al.), with two changes. The paper
-limits the moments as |u_k| <= u_max for k = 1, 2, 3, but u_1 is the thrust, which has a separate
-limit; this module therefore limits the moments, k = 2, 3, 4. A limit on the rotor accelerations is
-added, because with the paper's efficiency function the problem has no minimum otherwise.
+The module declares the limits of eq. (10) of the paper (Yacef et al.), with two changes:
 
-A plan uses only a part of the largest rotor speed and thrust; the fraction `reserve` is left to the
-controller that follows the plan. A motor with lag accelerates its rotor by at most (rotor_speed_max
-- speed) / time constant. The reserve is declared only if `reserve` is not zero, and the limit by
-the lag only if the time constant of the motor is not zero.
+- The paper prints |u_k| <= u_max for k = 1, 2, 3. But u_1 is the thrust, which has a limit of its
+  own, and the moments are u_2, u_3 and u_4. This module limits the moments.
+- The rotor accelerations are limited, too. Without this limit, the problem with the paper's
+  efficiency function has no minimum.
+
+The scenario's field `limits.reserve` is the fraction of the largest rotor speed and thrust that a
+plan leaves to the controller. A motor with lag accelerates its rotor by at most (rotor_speed_max -
+speed) / time constant. The reserve is declared only if `limits.reserve` is not zero. The limit by
+the lag is declared only if the time constant of the motor is not zero.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -61,9 +63,9 @@ def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None
     """Return parameter values without the reserve of rotor speed and thrust for the controller.
 
     The reserve is the fraction `limits.reserve` of the largest rotor speed and thrust. A plan
-    leaves it unused; the controller that flies the plan may use it. `numbers` holds parameter
-    values by full name; the result is a copy in which the reserve is zero. None and values without
-    a reserve are returned unchanged.
+    leaves the reserve unused; the controller that flies the plan may use it. `numbers` holds
+    parameter values by full name. The result is a copy of `numbers` in which the reserve is zero.
+    If `numbers` is None or has no reserve, it is returned unchanged.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -96,9 +98,9 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
     """Return the largest rotor speed [rad/s] or thrust [N] that a plan may use.
 
-    The result is (1 - reserve) times `most`, the largest rotor speed or thrust of the vehicle. The
-    fraction `reserve`, a parameter of the block `b`, is left to the controller that follows the
-    plan; it is zero if the scenario sets none.
+    `most` is the largest rotor speed or thrust of the vehicle. The result is (1 - reserve) times
+    `most`. The fraction `reserve` is left to the controller that follows the plan. `b` is the block
+    `limits`; without a parameter for the reserve in `b`, the result is `most`.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -122,10 +124,10 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
     """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
 
-    The range is that of measured flights; the scenario requests these limits by
-    `limits.within_validated`. Each of the three limits (largest airspeed, fastest climb, fastest
-    descent) is declared in `b`, the block `limits` of the model `m`, only if the vehicle has a
-    value for it.
+    The vehicle's model was validated with measured flights. The limits are the largest airspeed,
+    the fastest climb and the fastest descent. A limit is declared only if the vehicle has a value
+    for it. The scenario requests the limits by `limits.within_validated`. They are added to `b`,
+    the block `limits` of the model `m`.
     """
     if b.component("validated_airspeed") is not None:
 

@@ -1,10 +1,11 @@
 """Boundary conditions of a mission: hover at start and goal, passages of waypoints.
 
-A passage is the instant at which the flight is at a waypoint; its time is a variable of the plan.
+A passage is the instant at which the flight is at a waypoint. The time of a passage is a variable
+of the plan.
 
-The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal; the thrust at this speed
-is 0.07 % less than the weight. Here the rotor speed at start and goal satisfies 4 kappa_b omega^2 =
-m g exactly.
+The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal. The thrust at this speed
+is 0.07 % less than the weight. Here the thrust at start and goal equals the weight exactly: the
+rotor speed omega satisfies 4 kappa_b omega^2 = m g.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -121,10 +122,10 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
     Each `Parameter` states name, unit and meaning of one number, and how the number follows from a
     scenario. The parameters are position and heading at start and goal, the conditions at waypoints
-    (such as radius, greatest speed and time of hover), and limits on the motion during a hover. If
-    the mission keeps the heading, the limit on the yaw rate is a parameter, too. If the duration is
-    free, its least and greatest value and `price_of_time` [W] are parameters, too. The objective
-    contains `price_of_time` times the duration.
+    (such as radius, greatest speed and time of hover), and limits on the motion during a hover. A
+    mission with constant heading also has a limit on the yaw rate. A mission with a free duration
+    also has the least duration, the greatest duration, and `price_of_time` [W], a factor on the
+    duration in the objective.
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -189,8 +190,9 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare for each waypoint the time of its passage and the conditions at that time.
 
-    The conditions are on position, heading, speed and time of hover, as the waypoint sets them. All
-    are added to `b`, the block `mission` of the model `m`.
+    The conditions are on position, heading, speed and time of hover. A waypoint has only the
+    conditions that the scenario sets for it. Variables and conditions are added to `b`, the block
+    `mission` of the model `m`.
     """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
@@ -303,10 +305,21 @@ def _declare_end(
 ) -> None:
     """Declare the conditions of hover at one end of the flight.
 
-    The conditions are on position and heading, on velocity, tilt and body rates, which are zero,
-    and on the rotor speeds, which equal `rotor_speed` [rad/s]. `end` is "start" or "goal", and `t`
-    is the time of this end [s]. The conditions are added to `b`, the block `mission` of the model
-    `m`.
+    Position and heading have the values of the scenario. Velocity, tilt and body rates are zero.
+    The rotor speeds balance the weight.
+
+    Parameters
+    ----------
+    b : Block
+        Block `mission`, to which the conditions are added.
+    m : ConcreteModel
+        Model that already declares `rigid_body` and `rotors`.
+    end : str
+        "start" or "goal".
+    t : float
+        Time of the start or the goal [s].
+    rotor_speed : expression
+        Speed of every rotor [rad/s].
     """
     said = "x(t_0) = x_0" if end == "start" else "x(t_f) = x_f"
 
@@ -330,10 +343,9 @@ def _declare_end(
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
     """Return the two conditions at the goal on yaw (prescribed) and on yaw rate (zero).
 
-    They are constraints of `b`, the block `mission`. The constraint `yaw_keeping` keeps the heading
-    constant and makes these two conditions redundant. The function that declares `yaw_keeping`
-    therefore deactivates the two conditions, and the function `start_where_measured`, which
-    deactivates `yaw_keeping`, activates them again.
+    The conditions are constraints of `b`, the block `mission`. In a mission with constant heading,
+    the constraint `yaw_keeping` makes both conditions redundant, and they are deactivated. The
+    function `start_where_measured` deactivates `yaw_keeping` and activates both conditions again.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -352,10 +364,10 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace the conditions of a mission at the start by initial values of all states.
 
-    Models for replanning in flight use this start: each initial value is the measured value of a
-    state. Each state gets a mutable parameter of the same name in the new block `start`, and a
-    condition that equates the state's initial value to the parameter. The constraint that keeps the
-    heading constant is deactivated, because a gust may have turned the vehicle.
+    Models for replanning in flight start at the measured values of the states. The new block
+    `start` has a mutable parameter for each state, with the name of the state. A condition equates
+    the initial value of the state to the parameter. The constraint that keeps the heading constant
+    is deactivated, because a gust may have turned the vehicle.
 
     Parameters
     ----------
@@ -380,10 +392,17 @@ def start_where_measured(m: ConcreteModel) -> None:
 def _start_measured(b: Block, start: float, state: Var) -> None:
     """Declare a parameter for a state's measured value, and a condition at the start of the flight.
 
-    The condition equates the initial value of the state to the mutable parameter. Both are added to
-    `b`, the block `start` of measured values. `start` is the initial time of the flight [s], and
-    `state` the Pyomo variable over time. A state that is also indexed by rotor gets one parameter
-    and one condition per rotor.
+    The condition equates the initial value of the state to the mutable parameter. A state that is
+    also indexed by rotor gets one parameter and one condition per rotor.
+
+    Parameters
+    ----------
+    b : Block
+        Block `start`, to which parameter and condition are added.
+    start : float
+        Initial time of the flight [s].
+    state : Var
+        The state, a Pyomo variable over time.
     """
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()
@@ -405,10 +424,9 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
     Models for replanning in flight use this end condition. In wind, a vehicle at rest with a level
-    attitude is not in equilibrium, because the wind accelerates it. A plan that ends at rest and
-    level therefore reaches this state for an instant only, while the attitude swings through level.
-    If the actual wind differs from the wind of the plan, the vehicle is not at rest at this
-    instant.
+    attitude is not in equilibrium, because the wind accelerates it. The vehicle can be at rest and
+    level for an instant only, while its attitude swings through level. If the actual wind differs
+    from the planned wind, the vehicle is not even at rest at this instant.
 
     Parameters
     ----------

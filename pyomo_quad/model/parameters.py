@@ -62,10 +62,9 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
         Dotted path of the scenario's table that holds the fields, as ``"battery.thermal"``; empty
         for the scenario itself.
     *names : str
-        Fields whose parameters have the name of the field.
+        Names of fields. Each parameter has the name of its field.
     **renamed : str
-        Keyword: name of a parameter. Value: name of the field from which the parameter takes its
-        value.
+        Fields whose parameters have another name: ``parameter_name="field_name"``.
     """
     rows = []
     for name, field in (*zip(names, names, strict=True), *renamed.items()):
@@ -85,8 +84,8 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
     """Return a decorator that registers a function as the parameter table of a model block.
 
-    The decorated function takes a scenario and returns the parameters that the block
-    `block_name` of the scenario's model declares.
+    The decorated function takes a scenario and returns the declarations of the parameters in the
+    block `block_name` of the scenario's model.
     """
 
     def register(table: Table) -> Table:
@@ -99,9 +98,8 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
     """Yield the name of each model block that has registered parameters, and its parameters.
 
-    Each `Parameter` is a declaration: it states name, unit and meaning of a number that the block
-    contains in the scenario's model. The decorator `parameters_in` registers for each block the
-    function that returns these declarations.
+    Each `Parameter` is a declaration: it states name, unit and meaning of a number in the block.
+    The decorator `parameters_in` registers the function that returns the declarations of a block.
     """
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))
@@ -173,8 +171,8 @@ def positive_part(value: NumericExpression, width: NumericExpression) -> Numeric
     Returns
     -------
     expression
-        Exceeds max(value, 0) by width/2 at value = 0 and by about width^2/(4 |value|) far from
-        zero.
+        The smooth maximum. It exceeds max(value, 0) by width/2 at value = 0, and by about
+        width^2/(4 |value|) far from zero.
     """
     return (value + sqrt(value**2 + width**2)) / 2
 
@@ -194,8 +192,8 @@ def floored(
     Returns
     -------
     expression
-        Larger than the exact maximum, by width/2 where `value` equals `floor` and by less
-        elsewhere.
+        The smooth maximum. It exceeds the exact maximum by width/2 where `value` equals `floor`,
+        and by less elsewhere.
     """
     return floor + positive_part(value - floor, width)
 

@@ -1,14 +1,15 @@
 """The electrical power of the rotors, by one of six models.
 
-Each model is a function that declares the power of every rotor, which may be negative while the
-rotor brakes. With regeneration (`power.regeneration`), this power counts as it is; without
-regeneration, a negative power is replaced by zero, with a smooth transition. The energy of the
-flight is the integral over time of the power of all rotors, eq. (8) of the paper (Yacef et al.).
-Eq. (8) is printed with a double sum: over the rotors and, for each rotor, over the speeds of all
-rotors. Here the double sum is taken to mean a single sum over the four rotors. In the table, v and
-i are voltage and current of a motor, tau is the torque of the motor, omega the rotor speed, alpha
-the rotor acceleration, eta a constant efficiency, and f_r the efficiency of motor and rotor in the
-paper, a polynomial:
+Each model is a function that declares the power of every rotor. The power of a rotor may be
+negative while the rotor brakes. Without regeneration (`power.regeneration`), a negative power is
+replaced by zero, with a smooth transition. The energy of the flight is the integral over time of
+the power of all rotors, eq. (8) of the paper (Yacef et al.). The paper prints eq. (8) with a double
+sum: over the rotors and, for each rotor, over the speeds of all rotors. The package uses a single
+sum over the rotors.
+
+Symbols in the table: v, i and tau are voltage, current and torque of a motor. omega is the rotor
+speed, alpha the rotor acceleration. eta is a constant efficiency. f_r is the efficiency of motor
+and rotor in the paper, a polynomial.
 
 name | power of one rotor | convex in alpha | convex in thrust in steady flight
 motor | v i | yes | yes
@@ -19,9 +20,9 @@ efficiency | tau omega / f_r(tau, omega) | no | no
 momentum | induced, profile and axial power, in moving air | yes | yes
 
 By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
-`momentum`, because their balances hold for either direction of the energy flow. The two models with
-an efficiency have no such balance: a braking power divided by an efficiency would return more
-energy than braking absorbs.
+`momentum`. The energy balances of these models hold for either direction of the energy flow. In the
+two models with an efficiency, braking returns no energy by default: braking power divided by an
+efficiency would return more energy than braking absorbs.
 
 Alternating acceleration and braking of the rotors saves no energy, except in the model
 `efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
@@ -45,23 +46,23 @@ rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs togeth
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
 into its own wake, the equation has no solution, or three. In descent, a term a v_a^2 is therefore
 added under the root, with a constant a. (The page docs/theory/momentum_power.md calls this constant
-tau; it is not a torque.) With a >= 1/8 there is exactly one solution. With a = 1/7.67, used here,
-v_i stays within 0.13 v_h of the curve that Leishman (2006), eq. (2.96), fits to measurements on
-descending rotors down to v_a = -0.5 v_h, and within 0.4 v_h down to -1.5 v_h. Beyond -1.66 v_h the
-air flows upwards through the rotor.
+tau; it is not a torque.) With a >= 1/8 there is exactly one solution. The package uses a = 1/7.67.
+The result is compared with the curve that Leishman (2006), eq. (2.96), fits to measurements on
+descending rotors. v_i stays within 0.13 v_h of this curve down to v_a = -0.5 v_h, and within 0.4
+v_h down to v_a = -1.5 v_h. Beyond v_a = -1.66 v_h the air flows upwards through the rotor.
 
 Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). The profile
 power depends on the thrust and not on the rotor speed, so that c_0 is valid for any payload and
 density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
-Accelerating a rotor takes the power that is stored in the rotor, I_r omega alpha, plus the copper
-loss of the torque I_r alpha, where I_r is the rotor's inertia.
+Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which the rotor stores, plus
+the copper loss of the torque I_r alpha.
 
 The model is validated with 120 flights of a DJI Matrice 100: payloads of 0 to 0.5 kg, airspeeds to
 16 m/s, climb to 4 m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In
-cruise at 1 to 4 m/s the measured power is some 14 W above this model. An additional 4 % peak of the
-induced power at about 3 m/s, fitted with the other coefficients, gave an out-of-sample error of
-1.89 % instead of 1.86 % and was left out.
+cruise at 1 to 4 m/s the measured power is some 14 W above this model. An additional peak of the
+induced power, 4 % at about 3 m/s, was fitted but left out: it increased the out-of-sample error
+from 1.86 % to 1.89 %.
 """
 
 from collections.abc import Callable
@@ -141,11 +142,10 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
     """Return parameter values that smooth the power of a rotor near zero more strongly.
 
-    Without regeneration, a rotor that brakes returns no energy, so that its power is max(P, 0).
-    This power has a kink at P = 0, which the model smooths over the width `power.smoothing` [W] of
-    the scenario. A solve with a larger width converges more easily, and gives a warm start for the
-    solve with the next smaller width. Each item of the result sets one such larger width; the
-    largest comes first.
+    Without regeneration, a rotor that brakes returns no energy: its power is max(P, 0). The model
+    smooths the kink at P = 0 over the scenario's width `power.smoothing` [W]. A solve with a larger
+    width converges more easily, and its solution is the initial guess for a solve with the next
+    smaller width. Each item of the result sets one larger width; the largest comes first.
 
     Returns
     -------
@@ -259,9 +259,9 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
-    This power is a lower bound of the power in every other model, because motor and converter have
-    no loss, and with regeneration braking returns its full power. The power is linear in the rotor
-    acceleration, which therefore needs a bound, and convex in thrust (exponent 3/2).
+    Motor and converter have no loss, and with regeneration braking returns its full power. The
+    shaft power is therefore a lower bound of the power in every other model. It is convex in thrust
+    (exponent 3/2) and linear in the rotor acceleration, which therefore needs a bound.
 
     Parameters
     ----------
@@ -281,8 +281,8 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `constant_efficiency`: shaft power divided by a constant efficiency.
 
     The model is valid near the operating point at which the efficiency was measured. The power is
-    convex in the rotor acceleration and in thrust. The power is not negative unless regeneration is
-    enabled.
+    convex in the rotor acceleration and in thrust. Without regeneration, the power is never
+    negative.
 
     Parameters
     ----------
@@ -303,13 +303,15 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
     omega. Its coefficients were recovered from two public re-implementations of the paper's model.
-    Below some 780 rad/s, f_r has zeros at moderate braking torque. The block `power` therefore has
-    two lower limits as parameters. The polynomial is evaluated at the torque tau or at the limit
-    `torque_floor`, whichever is larger, and the power is divided by the polynomial's value or by
-    the limit `efficiency_floor`, whichever is larger. Both maxima are smooth. Unless regeneration
-    is enabled, braking returns nothing and the power is not negative. The power is not convex in
-    the rotor acceleration: below 858 rad/s, alternating acceleration and coasting takes less energy
-    than steady flight, so an optimum depends on the bound on the acceleration and on the mesh.
+
+    Below some 780 rad/s, f_r has zeros at moderate braking torque. Two parameters of the block
+    `power` are therefore lower limits: `torque_floor` limits the torque at which f_r is evaluated,
+    and `efficiency_floor` limits the value of f_r. Both limits are smooth. Without regeneration,
+    braking returns no energy and the power is never negative.
+
+    The power is not convex in the rotor acceleration. Below 858 rad/s, alternating acceleration and
+    coasting takes less energy than steady flight. An optimum therefore depends on the bound on the
+    acceleration and on the mesh.
 
     Parameters
     ----------
@@ -354,9 +356,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
     The motor's torque includes dry and viscous friction. The current follows from this torque, and
     the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
-    convex in the rotor acceleration. The power is not convex in thrust: because of viscous and dry
-    friction, at small thrust each further newton takes less power than the newton before. The
-    published friction constants seem ten times too high: hover takes 1.3 kW.
+    convex in the rotor acceleration, but not in thrust: because of the friction, the power rises
+    less steeply as a small thrust increases. The published friction constants seem ten times too
+    high: hover takes 1.3 kW.
 
     Parameters
     ----------
@@ -392,9 +394,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 def _declare_floor(m: ConcreteModel) -> None:
     """Declare the power of each rotor as a smooth max(P, 0), for a mission without regeneration.
 
-    P is the power of a rotor by the chosen power model. The block `power` of the model `m` already
-    has P as an expression. P is negative if the rotor brakes, but without regeneration braking
-    returns no energy.
+    P is the power of a rotor by the chosen power model. P is negative if the rotor brakes, but
+    without regeneration braking returns no energy. `m` is the model, whose block `power` already
+    has P as an expression.
     """
     b = m.power
 

@@ -6,15 +6,15 @@ x', y', z' | vx, vy, vz | m/s | velocity in world axes
 phi, theta, psi | phi, theta, psi | rad | roll, pitch, yaw; yaw-pitch-roll order
 phi', theta', psi' | p, q, r | rad/s | body rates
 
-`vehicle.attitude` selects the relation between the angles and the body rates. `euler` is exact: the
-Euler rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees, with the
-reaction of the body to the rotors' acceleration in the yaw balance. `paper` has the paper's
-equations: the Euler rates equal the body rates, which is correct to first order in the tilt, and
-the yaw balance has no reaction to the rotors' acceleration.
+`vehicle.attitude` selects the relation between the angles and the body rates. `euler` is exact: it
+has the Euler rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees. Its
+yaw balance includes the reaction of the body to the rotors' acceleration. `paper` has the paper's
+equations: the Euler rates equal the body rates, correct to first order in the tilt. Its yaw balance
+omits the reaction to the rotors' acceleration.
 
-The gyroscopic terms of the rotors follow eq. (6); eq. (9) contradicts them in sign and in order of
-derivative. As in eq. (6), the force balances are not divided by the mass, and the moment balances
-are not divided by the moments of inertia.
+The gyroscopic terms of the rotors follow eq. (6). Eq. (9) prints them with another sign and another
+order of derivative. As in eq. (6), the force balances are not divided by the mass, and the moment
+balances are not divided by the moments of inertia.
 """
 
 from collections.abc import Callable
@@ -86,8 +86,8 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `vehicle`, `rotors`, `aerodynamics` and the states of
         `rigid_body`.
     scenario : Scenario
-        Scenario whose field `vehicle.attitude` selects the yaw balance: the exact balance, or that
-        of the paper, which omits the reaction of the body to accelerating rotors.
+        Scenario whose field `vehicle.attitude` selects the yaw balance: the exact balance or the
+        paper's balance. The paper's balance omits the reaction of the body to accelerating rotors.
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)
@@ -232,10 +232,17 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
     """Return the moment of rotors and air about a body axis [N m].
 
-    The rotors' thrust and drag torque make the moment of the rotors. The moment of the air is that
-    of rotor drag and translational lift, and is absent if the vehicle has no coefficients of these
-    forces. `m` is the mission's model, `name` is "roll_moment", "pitch_moment" or "yaw_moment", and
-    `t` is the time in flight [s].
+    The rotors act by their thrust and drag torque. The air acts by rotor drag and translational
+    lift, if the vehicle has coefficients for these forces.
+
+    Parameters
+    ----------
+    m : ConcreteModel
+        The mission's model.
+    name : str
+        "roll_moment", "pitch_moment" or "yaw_moment".
+    t : float
+        Time in flight [s].
     """
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
@@ -285,9 +292,9 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
     """Declare the moment balance about body z.
 
-    With the exact attitude kinematics (`attitude` is "euler"), the balance includes the yaw moment
-    by which accelerating rotors turn the body. The paper (Yacef et al.) omits this moment. The
-    balance is added to `b`, the block `rigid_body` of the model `m`.
+    If `attitude` is "euler", the balance includes the yaw moment by which accelerating rotors turn
+    the body. The paper (Yacef et al.) omits this moment. The balance is added to `b`, the block
+    `rigid_body` of the model `m`.
     """
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"

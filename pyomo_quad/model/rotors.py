@@ -30,9 +30,9 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the model parameters for positions and directions of rotation of the rotors.
 
-    Eq. (7) of Yacef et al. contains the geometry of a standard cross of four rotors. A standard
-    cross therefore needs no such parameters, unless the vehicle has rotor drag or translational
-    lift: these forces depend on the airspeed at each rotor, and need the positions.
+    The result is empty for a standard cross of four rotors without rotor drag and translational
+    lift, because eq. (7) of Yacef et al. contains the geometry of the cross. Rotor drag and
+    translational lift depend on the airspeed at each rotor, and therefore need the positions.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -175,12 +175,11 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
     """Declare thrust and moments for any planar rotor layout.
 
-    Eq. (7) of Yacef et al., for a standard cross of four rotors, is a special case.
-
-    Thrust and moments are sums over the rotors, with the position and the direction of rotation of
-    each rotor. The speed imbalance, the sum of the rotor speeds with the signs of their directions
-    of rotation, is declared, too. All are expressions over time in `b`, the block `rotors` of the
-    model `m`.
+    Thrust and moments are sums over the rotors, from the position and the direction of rotation of
+    each rotor. The function also declares the speed imbalance: the sum of the rotor speeds, each
+    with the sign of its direction of rotation. All are expressions over time in `b`, the block
+    `rotors` of the model `m`. Eq. (7) of Yacef et al., for a standard cross of four rotors, is a
+    special case.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

@@ -26,9 +26,9 @@ from pyomo.repn import generate_standard_repn
 class Severity(StrEnum):
     """Severity of a finding, the result of a check of a model or scenario.
 
-    `IMPOSSIBLE` means that no flight can satisfy the model or scenario, `UNPHYSICAL` that numbers
-    of the vehicle contradict physics, and `CAUTION` that the user should check a field of the
-    scenario or a component of the model.
+    - `IMPOSSIBLE`: no flight can satisfy the model or scenario.
+    - `UNPHYSICAL`: numbers of the vehicle contradict physics.
+    - `CAUTION`: the user should check a field of the scenario or a component of the model.
     """
 
     IMPOSSIBLE = "impossible"
@@ -81,9 +81,13 @@ class _Interval:
 def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
     """Return findings on the variables and limits of a model.
 
-    The findings are on variables without a scaling factor, controls without bounds, limits that are
-    never active because another limit of the same variable is tighter, limits that contradict each
-    other, and equality constraints that set a variable to a value outside its limits.
+    The checks find:
+
+    - variables without a scaling factor,
+    - controls without bounds,
+    - limits that are never active, because another limit of the variable is tighter,
+    - limits that contradict each other,
+    - equality constraints that set a variable to a value outside its limits.
 
     Parameters
     ----------
@@ -189,7 +193,7 @@ def _bounds(data: VarData) -> _Interval:
 def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | None:
     """Return the variable and the allowed interval of a constraint that limits a single variable.
 
-    None for a constraint that is nonlinear or has several variables.
+    The result is None if the constraint is nonlinear or has several variables.
     """
     body = generate_standard_repn(constraint.body, quadratic=False)
     if len(body.linear_vars) != 1 or body.nonlinear_expr is not None:
@@ -289,9 +293,10 @@ class ModelInspection:
     states, other_variables : tuple of str
         Names of the states, and of all other functions of time (controls and algebraic variables).
     equations, path_limits : int
-        Equations and inequalities that hold at each time.
+        Number of equations, and number of inequalities, that hold at each time.
     boundary_conditions, parameters : int
-        Active constraints that hold at single times, and parameters that do not depend on time.
+        Number of active constraints that hold at single times, and number of parameters that do not
+        depend on time.
     unit_errors : tuple of str
         One line for each component with inconsistent units.
     """

@@ -1,19 +1,19 @@
 """Soft limits: limits and end conditions that a flight may violate at a penalty.
 
-Replanning in flight uses soft limits, because a measured state may violate a limit already, and a
-plan must exist even then. The physical limits of rotors (speed, acceleration, thrust, moments) and
-pack (greatest power) stay hard.
+Replanning in flight uses soft limits: a plan must exist even if the measured state already violates
+a limit. The physical limits of rotors (speed, acceleration, thrust, moments) and pack (greatest
+power) stay hard.
 
 symbol | name | unit | meaning
 s_k | most[k] | unit of limit k | largest violation of limit k over time
 s+_j, s-_j | above[j], below[j] | unit of condition j | violations of condition j, up and down
 rho | price | J/unit | penalty per unit of violation
 
-A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0, a condition h = c becomes h = c +
-s+ - s-, and the objective grows by rho times the sum of all s.  Some flight within the limits of
-rotors and pack always exists, so that the softened problem always has a solution.  See
-docs/theory/soft_limits.md for the penalty above which all violations are zero wherever a flight
-without violation exists.
+A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0. A condition h = c becomes h = c +
+s+ - s-. The objective grows by rho times the sum of all s, s+ and s-. The softened problem always
+has a solution, because some flight within the limits of rotors and pack always exists. If rho is
+large enough, all violations are zero wherever a flight without violation exists; see
+docs/theory/soft_limits.md.
 """
 
 from typing import Any
@@ -77,8 +77,8 @@ def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
     The penalty is the energy that lifts the vehicle by 300 m. It exceeds the Lagrange multipliers
-    of most limits. A penalty above the multiplier of a limit is exact: the violation is then zero
-    wherever a flight without violation exists.
+    of most limits. If the penalty exceeds the multiplier of a limit, the limit is violated only
+    where no flight without violation exists.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
@@ -123,9 +123,9 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 def _soften_limit(b: Block, limit: Constraint) -> None:
     """Replace a path constraint by a soft constraint for each of its bounds, lower and upper.
 
-    A soft constraint may be violated at a penalty. The violation is a single variable: the largest
-    violation over time. `limit` is the path constraint, which is deactivated; the soft constraints
-    are added to `b`, the block `soft`, which already has the variables of the violations.
+    A soft constraint may be violated at a penalty. A single variable holds the largest violation
+    over time. `limit` is the path constraint; it is deactivated. `b` is the block `soft`, which
+    already has the variable of the violation and receives the soft constraints.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)
@@ -158,8 +158,8 @@ def _soften_condition(b: Block, condition: Constraint) -> None:
     """Replace an equality constraint at one time by a soft constraint.
 
     A violation upwards or downwards is allowed at a penalty. `condition` is the equality
-    constraint, which is deactivated; the soft constraint is added to `b`, the block `soft`, which
-    already has the variables of the violations.
+    constraint; it is deactivated. `b` is the block `soft`, which already has the variables of the
+    violations and receives the soft constraint.
     """
     held = [index for index in condition if condition[index].active]
 

@@ -22,9 +22,9 @@ low altitude the two specifications therefore give the same spectra.
 A gust changes by itself in a time of about L / sigma (Tennekes and Lumley, 1972, section 1.5).
 Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them in less than this time.
 Therefore V is the airspeed, but at least sigma_u. The axes of the gusts are horizontal and
-vertical, as in the specification at low altitude, and keep the direction of the mission's mean
-relative wind, because axes along the airspeed would turn the gusts whenever the vehicle turns.
-Turbulence acts on simulated flights only; no plan includes it.
+vertical, as in the specification at low altitude. They keep the direction of the mission's mean
+relative wind: axes along the airspeed would turn the gusts whenever the vehicle turns. Turbulence
+acts on simulated flights only; no plan includes turbulence.
 """
 
 from collections.abc import Callable, Sequence
@@ -221,10 +221,10 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
     """Declare height, standard deviations, crossing speed and rates V / L of the filters.
 
-    They are expressions over time in `b`, the block `wind.turbulence` of the model `m`. The height
-    is the vehicle's height above the ground, limited to the range for which the specification
-    holds. The crossing speed V is the speed at which the vehicle crosses the frozen gusts, and L a
-    length scale of the turbulence.
+    The height is the vehicle's height above the ground, limited to the range for which the
+    specification holds. The crossing speed V is the speed at which the vehicle crosses the frozen
+    gusts, and L a length scale of the turbulence. All are expressions over time in `b`, the block
+    `wind.turbulence` of the model `m`.
     """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
@@ -265,8 +265,8 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
 def _declare_filters(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the states, the white noise and the differential equations of the filters.
 
-    They are added to `b`, the block `wind.turbulence` of the model `m`. The scenario's seed
-    determines the values with which the states are initialised.
+    The seed of the scenario determines the values with which the states are initialised. All are
+    added to `b`, the block `wind.turbulence` of the model `m`.
     """
     begun = Gusts.of(scenario).start
     for full_name in NOISE:
@@ -361,8 +361,8 @@ class Gusts:
     Parameters
     ----------
     seed : int or sequence of int
-        Seed of `numpy.random.default_rng`; a flight of an ensemble has the ensemble's seed and the
-        flight's number.
+        Seed of `numpy.random.default_rng`. For a flight of an ensemble: the seed of the ensemble
+        and the number of the flight.
     """
 
     def __init__(self, seed: int | Sequence[int]) -> None:
@@ -378,8 +378,8 @@ class Gusts:
     def start(self) -> dict[str, float]:
         """Initial values of the states of the turbulence filters, by full name.
 
-        They are a random sample from the stationary distribution of the states, drawn with the
-        seed.
+        The values are a random sample from the stationary distribution of the states, drawn with
+        the seed.
         """
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)

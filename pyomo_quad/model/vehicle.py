@@ -53,8 +53,8 @@ def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of block `vehicle`, including the payloads released at waypoints.
 
     Each `Parameter` is a declaration: it states name, unit and meaning of a number, and how the
-    value of the number follows from a scenario. The declarations are the same for every scenario,
-    so that the argument `_scenario` is not used; only the values differ.
+    value of the number follows from a scenario. The declarations are the same for every scenario;
+    the argument `_scenario` is not used.
     """
     return _PARAMETERS
 
@@ -63,7 +63,7 @@ def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the vehicle's parameters and the releases of payloads in block `vehicle`.
 
     The release of a payload at a waypoint is a parameter over time, `is_left`: 1 after the vehicle
-    has left the waypoint, and 0 before. It is declared only if a payload is released.
+    has left the waypoint, and 0 before. `is_left` is declared only if a payload is released.
 
     Parameters
     ----------

@@ -13,17 +13,20 @@ law | factor at height h | source
 power | (h / h_r)^exponent | Justus and Mikhail (1976)
 logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
-with h the vehicle's height above the ground: z, or over terrain the height over a smooth surface
-that is nowhere below the ground (see `model.ground`). Below the larger of 0.1 m and z_0,
-where neither law is valid, the wind is constant: the laws use a smooth maximum of h and this lowest
-height. The maximum increases with h, and equals h to 1e-12 m if h is half a metre above the lowest
-height or higher. A wind measured over heights is a cubic spline through the measurements between
-the lowest and the highest height, and constant beyond them, with the same smoothing. The heights of
-these measurements are heights above the ground, but the heights of a wind field are coordinates z.
+h is the vehicle's height above the ground. Over flat ground, h is z. Over terrain, h is the height
+over a smooth surface that is nowhere below the ground (see `model.ground`).
 
-A wind measured over time is a function of the wind time: the cubic spline through the measurements,
-and a constant after the last measurement. The spline is twice differentiable at any time, so that
-the plan may choose the duration and the times at which waypoints are passed.
+Neither law is valid below a lowest height, the larger of 0.1 m and z_0. The wind is constant there:
+the laws use a smooth maximum of h and the lowest height. The maximum increases with h. Half a metre
+above the lowest height and higher, it equals h to 1e-12 m.
+
+A wind measured over heights is a cubic spline through the measurements. Below the lowest and above
+the highest measurement the wind is constant, with a smooth transition. The measurements are at
+heights above the ground, but the heights of a wind field are coordinates z.
+
+A wind measured over time is a cubic spline in the wind time through the measurements. After the
+last measurement the wind is constant. The wind is twice differentiable at any time, so that the
+plan may choose the duration and the times at which waypoints are passed.
 
 A wind that varies from place to place is declared in `wind_field`.
 
@@ -104,9 +107,9 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 def _least_height(wind: Wind) -> float:
     """Return the lowest height above ground at which the wind of a scenario is defined [m].
 
-    For a wind measured over heights, this is the lowest of the measured heights. For a wind profile
-    it is 0.1 m or the roughness length, whichever is larger: the logarithmic law gives no wind at
-    the roughness length, and is not valid below.
+    For a wind measured over heights, the result is the lowest of the measured heights. For a wind
+    profile, the result is 0.1 m or the roughness length, whichever is larger: the logarithmic law
+    is not valid below the roughness length.
     """
     if wind.profile is not None:
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
@@ -173,8 +176,8 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of eqs. (11) and (12) of Yacef et al. along the world axis `name`.
 
-    They are the mean, the harmonics and the gust of one component of the wind. The result is empty
-    for a wind from a file.
+    The parameters are the mean, the harmonics and the gust of one component of the wind. The result
+    is empty for a wind from a file.
     """
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
@@ -284,8 +287,8 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
     """Return the wind at the vehicle's height [m/s].
 
-    `velocity` is the wind at the reference height of the wind profile [m/s]; without a profile, the
-    wind is the same at both heights. `b` is the block `wind`, and `t` the time in flight [s].
+    `velocity` is the wind at the reference height of the wind profile [m/s]. Without a profile, the
+    result is `velocity`. `b` is the block `wind`, and `t` the time in flight [s].
     """
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity
@@ -294,10 +297,10 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    The result has every mutable parameter of block `wind` with the unit of a speed. Its value is
-    zero or, for a parameter over time, the function of time that is zero. Parameters that a user
-    has added to the block are included, so that the user's own wind is zero, too. A wind that does
-    not depend on such parameters is not set to zero. `m` is the mission's model.
+    The result has every mutable parameter of block `wind` that is a speed. The value is zero; for a
+    parameter over time, the value is a function of time that returns zero. Parameters that a user
+    has added to the block are included. A wind that does not depend on such speeds is not set to
+    zero. `m` is the mission's model.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -338,10 +341,21 @@ def _add_velocity(
 ) -> None:
     """Declare the wind along the world axis `name` as an expression over time [m/s].
 
-    The expression is added to `b`, the block `wind` of the model `m`. `rule` is a Pyomo rule for
-    the wind at the reference height of the wind profile. The declared wind is converted to the
-    vehicle's height by the profile, if the scenario has one. `said` begins the documentation text
-    of the declared expression, as in "wind along world x".
+    If the scenario has a wind profile, the expression is the wind at the vehicle's height.
+
+    Parameters
+    ----------
+    b : Block
+        Block `wind`, to which the expression is added.
+    m : ConcreteModel
+        The mission's model.
+    name : str
+        World axis.
+    rule : callable
+        Pyomo rule: takes the block and the time in flight [s], returns the wind at the reference
+        height of the profile [m/s].
+    said : str, optional
+        Start of the expression's documentation text, as in "wind along world x".
     """
 
     def velocity(b: Block, t: float) -> NumericExpression:
@@ -402,11 +416,19 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of the spline over height for a wind measured at some heights.
 
-    The spline is a cubic not-a-knot spline in the height, a weighted sum of the basis functions.
-    `heights` [m] are the heights at which the wind was measured. Below the lowest and above the
-    highest of these heights, the spline is constant. The transition to the constant value is
-    smoothed over a width of 0.1 m (the constant `HEIGHT_SMOOTHING`). The basis functions, at the
-    vehicle's height, are expressions over time in `b`, the block `wind` of the model `m`.
+    The cubic not-a-knot spline is a weighted sum of the basis functions. Below the lowest and above
+    the highest measured height, the spline is constant. The transition to the constant value is
+    smoothed over a width of 0.1 m (the constant `HEIGHT_SMOOTHING`).
+
+    Parameters
+    ----------
+    b : Block
+        Block `wind`. It receives the basis functions at the vehicle's height, as expressions over
+        time.
+    m : ConcreteModel
+        The mission's model.
+    heights : ndarray
+        Heights at which the wind was measured [m].
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 
@@ -433,9 +455,9 @@ def _shares(heights: FloatArray) -> FloatArray:
 def _shapes(heights: FloatArray) -> FloatArray:
     """Return the matrix of the values of the spline's basis functions at the measured heights.
 
-    The spline is the cubic spline over height through a wind measured at `heights` [m]. Rows of the
-    matrix are these heights, columns the basis functions. With the matrix, the coefficients of the
-    spline are computed from the measured wind.
+    `heights` [m] are the heights at which the wind was measured. The matrix has one row per height
+    and one column per basis function. The matrix serves to compute the coefficients of the cubic
+    spline from the measured wind.
     """
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
@@ -445,9 +467,9 @@ def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic spline in height.
 
     `shares` are the heights at which the wind was measured, scaled to the range from 0 to 1. Each
-    function of the result takes a scaled height h. The functions are the powers of h from 0 to 3
-    (to 2 for three heights, to 1 for two) and, for each inner knot k of the spline,
-    max(h - k, 0)^3.
+    function of the result takes a scaled height h. The functions are 1, h, h^2 and h^3, and
+    max(h - k, 0)^3 for each inner knot k of the spline. For three heights, h^3 is left out; for two
+    heights, h^2 is left out, too.
     """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
@@ -474,10 +496,10 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed measured over time, as a spline that a Pyomo model can evaluate.
 
-    The speed is the wind along one axis. For a wind measured over time and height, a coefficient of
-    the spline over height takes the place of the speed. The cubic spline over time passes through
-    the speeds at the times of the measurements. After the last measurement, the speed is constant;
-    the transition is smoothed.
+    The speed is the wind along one axis. The cubic spline over time passes through the measured
+    speeds. After the last measurement, the speed is constant, with a smooth transition. For a wind
+    measured over time and height, the class is used with a coefficient of the spline over height
+    instead of a speed.
 
     Parameters
     ----------

@@ -11,18 +11,17 @@ Along an axis of two or three points, the component is the line or parabola thro
 points without wind, such as points inside a building, get the wind of the nearest point with wind,
 because a spline needs a value everywhere.
 
-The scenario's field `wind.beyond` selects what happens where the field has no wind: "refuse", the
-default, permits no flight there, and "hold" uses the nearest known wind. With "refuse", a flight
-through places whose nearest grid point has no wind is refused, with the message of the function
-`unknown_wind`.
+The scenario's field `wind.beyond` selects what happens where the field has no wind.
 
-Outside of the grid the spline has no meaning, and its values could make it seem favourable to fly
-there. Flights therefore stay within the edges of the grid; the module `model.airspace` declares
-this limit.
+With "refuse", the default, flights are permitted only where the wind is known. Outside of the grid
+the spline has no meaning, and its values could seem favourable. The module `model.airspace`
+therefore limits flights to the edges of the grid. A flight is refused if the nearest grid point of
+one of its places has no wind. The function `unknown_wind` writes the message.
 
-With `wind.beyond` "hold", there is no such limit: the place is clipped smoothly to the grid, and
-outside of the grid the wind of the border blows. Inside of the grid, at more than a tenth of a grid
-step from the border, the clipped place equals the vehicle's place to 1e-10 of a grid step.
+With "hold", the nearest known wind is used, and flights may leave the grid. Outside of the grid the
+wind of the border blows, because the vehicle's place is clipped smoothly to the grid. Inside of the
+grid, at more than a tenth of a grid step from the border, the clipped place equals the vehicle's
+place to 1e-10 of a grid step.
 """
 
 from collections.abc import Sequence
@@ -62,8 +61,7 @@ def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
     If the magnitude of `number` exceeds a few times `width`, the result equals max(number, 0) to
-    rounding. The smooth maximum of the function `parameters.positive_part` does not: its difference
-    from the exact maximum decreases only slowly with the magnitude.
+    rounding. The function `parameters.positive_part` approaches the exact maximum more slowly.
     """
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
@@ -80,7 +78,7 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
-        Its `wind.beyond` says whether the vehicle's place is clipped to the range of the grid.
+        Its field `wind.beyond` selects whether the vehicle's place is clipped to the grid.
 
     Returns
     -------
@@ -167,13 +165,11 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 def wind_corners(scenario: Scenario) -> FloatArray:
     """Return corners of a polyhedron that contains the wind of a field at every place and time.
 
-    Implements docs/theory/bound.md, eq. (21).
-
     In each cell of the grid the spline through the wind is a polynomial of degree three along every
-    axis, and lies in the convex hull of its control points (Bernstein coefficients). Cells that
-    have wind at none of their corners are left out, since no flight may enter them. If the
-    scenario's field `wind.beyond` is "hold", the nearest known wind is used in such cells, flights
-    may enter them, and no cell is left out.
+    axis. The polynomial lies in the convex hull of its control points (Bernstein coefficients).
+    Cells without wind at any corner are left out, because no flight may enter them. If the
+    scenario's field `wind.beyond` is "hold", flights may enter all cells, and no cell is left out.
+    Implements docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -183,11 +179,10 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Components of the wind along x, y and z [m/s] at the n corners. The polyhedron is a prism in
-        the space of these components. The base of the prism is an octagon: among the polygons with
-        eight sides (the constant `_SIDES`) in equally spaced directions, it is the smallest that
-        contains the horizontal components of all control points. Along z, the prism extends from
-        the least to the greatest vertical component.
+        Wind components along x, y and z [m/s] at the n corners. The polyhedron is a prism. Its base
+        is the smallest octagon with sides in eight fixed, equally spaced directions that contains
+        the horizontal components of all control points. Along z, the prism extends from the least
+        to the greatest vertical component.
 
     Raises
     ------
@@ -216,8 +211,8 @@ def _controlled(
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
     """Return axes and control points of a wind field, and which control points a flight may meet.
 
-    In each cell of the grid the wind is a polynomial, and lies in the convex hull of the control
-    points (Bernstein coefficients) of this polynomial. `scenario` is a scenario with a wind field.
+    In each cell of the grid the wind is a polynomial. The wind lies in the convex hull of the
+    polynomial's control points (Bernstein coefficients). `scenario` must have a wind field.
 
     Returns
     -------
@@ -251,9 +246,9 @@ class ColumnWinds:
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
         Edges of the cells [m].
     low, high : ndarray, shape (2, nx, ny)
-        Lower and upper bounds of the wind in each column [m/s], along x (first item) and y (second
-        item). They hold at all times and at all heights that a flight may enter. In a column that
-        no flight may enter, `low` is inf and `high` is -inf.
+        Lower and upper bounds of the wind in each column [m/s]. Index 0 is the wind along x, index
+        1 the wind along y. The bounds hold at all times and at all heights that a flight may enter.
+        In a column that no flight may enter, `low` is inf and `high` is -inf.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """
@@ -268,9 +263,9 @@ class ColumnWinds:
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     """Return bounds of the horizontal wind in the vertical column over each cell of a field's grid.
 
-    In each cell of the grid, the spline through the wind is a polynomial, and lies in the convex
-    hull of its control points (Bernstein coefficients). The bounds of a column are the least and
-    the greatest control point of those of its cells that a flight may enter.
+    In each cell of the grid, the spline through the wind is a polynomial. The polynomial lies in
+    the convex hull of its control points (Bernstein coefficients). The bounds of a column are the
+    least and the greatest control point in its cells. Cells that no flight may enter are left out.
 
     Parameters
     ----------
@@ -305,10 +300,10 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
     """Return the control points (Bernstein coefficients) of the cubic spline through `values`.
 
     The spline runs along the first array axis of `values`, at the coordinates `axis`. A cell is the
-    interval between two neighbouring coordinates. It has four control points: the value at its left
-    end; that value plus a third of the cell's width times the slope there; the value at its right
-    end minus a third of the width times the slope there; and the value at its right end. The first
-    array axis of the result holds the four control points of each cell, one cell after another.
+    interval between two neighbouring coordinates. With the values v_0 and v_1 and the slopes s_0
+    and s_1 at the ends of a cell of width w, the four control points of the cell are v_0,
+    v_0 + w s_0 / 3, v_1 - w s_1 / 3 and v_1. The first array axis of the result holds the control
+    points of all cells, one cell after another.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for fields alone
 
@@ -327,9 +322,9 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
     """Return for each control point of a wind field whether the wind is known near it.
 
-    The wind is known near a control point if the grid has a value at one corner or more of the
-    point's cell. `shape` is the shape of the array of control points: the number of wind
-    components, then for each axis of the grid four times its number of cells.
+    The wind is known near a control point if at least one corner of the point's cell has a value in
+    `grid`. `shape` is the shape of the array of control points. Its first item is the number of
+    wind components. The other items are four times the number of cells along each axis of the grid.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):
@@ -352,8 +347,7 @@ def is_wind_known(
     ----------
     scenario : Scenario
         Scenario of the flight. The result is true everywhere if the scenario has no wind field, or
-        if its field `wind.beyond` is "hold", by which the nearest known wind is used where the wind
-        field has no value.
+        if its field `wind.beyond` is "hold" (use the nearest known wind).
     times : ndarray, shape (n,), or float
         Times in flight [s].
     places : ndarray, shape (n, 3)

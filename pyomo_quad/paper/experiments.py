@@ -1,8 +1,8 @@
 """The two experiments of Yacef et al. as missions, flown optimally and under adaptive control.
 
 One of the power models of these flights divides the shaft power by f_r, the efficiency of motor and
-rotor in the paper of Yacef et al. f_r is a polynomial of torque and speed that the paper does not
-print; a form recovered from public re-implementations is used.
+rotor in the paper of Yacef et al. f_r is a polynomial of torque and speed. The paper does not print
+the polynomial; its coefficients were recovered from public re-implementations.
 """
 
 from collections.abc import Mapping
@@ -132,9 +132,9 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r of motor and rotor of Yacef et al. The report
-    compares this energy with the energy that Yacef et al. print for adaptive control. A flight can
-    take more energy than at full speed only if its rotors accelerate and brake all the time.
+    The power is computed with f_r, the efficiency of motor and rotor of Yacef et al. The report
+    compares the result with the energy that Yacef et al. print for adaptive control. A flight can
+    take more energy than the result only if its rotors accelerate and brake all the time.
 
     Parameters
     ----------
@@ -203,11 +203,11 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Outcome of planning the flight. Under the efficiency f_r of Yacef et al., the solve may end
-        without convergence, so that the flight is not proven optimal. A simulation of the planned
-        controls may confirm the flight even then; `flight.is_verified` is true if it does.
+        Outcome of planning the flight. With the efficiency f_r of Yacef et al., the solve may end
+        without convergence, and the flight is not proven optimal. `flight.is_verified` is true if a
+        simulation of the planned controls confirms the flight, with or without convergence.
     hover_energy_J : float
-        Energy of hovering for the same time under the same power model.
+        Energy of a hover of equal duration, under the power model of the flight [J].
     end_prices : mapping
         Costates at the end of the plan, by state; empty if the solve found no optimum.
     """
@@ -294,8 +294,8 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 def _flown(plan: Plan) -> Flight:
     """Return the flight of a plan, together with the result of a simulation of the plan's controls.
 
-    `plan` is the result of the planner. The planner does not simulate the controls if the solve has
-    not converged. This function then simulates the controls, so that the report can show a flight
+    `plan` is the result of the planner. The planner simulates the controls only if the solve has
+    converged. If not, this function simulates the controls. The report can therefore show a flight
     even if no optimum was found.
     """
     if plan.verification is not None:

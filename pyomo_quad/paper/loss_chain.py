@@ -1,8 +1,8 @@
 """Counterpart of figure 1 of Yacef et al.: chain of losses of a flight, and map of f_r.
 
 The chain leads from the battery over resistances and windings to the rotors. f_r is the efficiency
-of motor and rotor in their paper. The map shows f_r over rotor speed and torque, with the speeds
-and torques of the flight.
+of motor and rotor in the paper of Yacef et al. The map shows f_r over rotor speed and torque, with
+the speeds and torques of the flight.
 """
 
 from dataclasses import dataclass
@@ -59,9 +59,9 @@ class EnergyChain:
     def created(self) -> float:
         """Shaft energy in excess of the electrical energy that leaves the motors' windings [J].
 
-        This energy is not physical. It arises because the torque constant k_t of the motor that
-        Yacef et al. print exceeds 1/k_v, where k_v is their speed constant (speed over voltage).
-        The shaft power (torque times speed) then exceeds the electromotive force times the current.
+        This energy is not physical. Yacef et al. print a torque constant k_t of the motor that
+        exceeds 1/k_v, where k_v is the printed speed constant (speed over voltage). The shaft power
+        (torque times speed) therefore exceeds the electromotive force times the current.
         """
         return self.shaft - self.passed
 

@@ -1,8 +1,8 @@
 """Interpretations of the efficiency f_r of Yacef et al., and solves on fixed meshes under each.
 
-f_r is the efficiency of motor and rotor, which their paper does not print; here it is a polynomial
-recovered from public re-implementations. The polynomial is zero at some braking torques. If the
-rotors may brake that hard, the problem with the bare polynomial has no minimum.
+f_r is the efficiency of motor and rotor. The paper of Yacef et al. does not print f_r; here f_r is
+a polynomial recovered from public re-implementations. The polynomial is zero at some braking
+torques. If the rotors may reach such a torque, the problem with the bare polynomial has no minimum.
 """
 
 from dataclasses import dataclass
@@ -65,8 +65,8 @@ class Reading(StrEnum):
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's Pyomo model without the battery.
 
-    The energy does not depend on the battery. With the efficiency f_r of Yacef et al., the
-    battery's current is undefined for some values of f_r.
+    The energy does not depend on the battery. The battery is left out because its current is
+    undefined for some values of f_r, the efficiency of motor and rotor of Yacef et al.
     """
     m = build_model(scenario)
     m.del_component(m.battery)
@@ -76,8 +76,8 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The package's usual model limits torque
-    and efficiency from below; here both lower limits are removed, and the model has no battery.
+    f_r is the efficiency of motor and rotor of Yacef et al. The usual model of the package limits
+    torque and efficiency from below. This model has neither of the two limits, and no battery.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ class TrialOutcome:
     flown_energy_J : float
         Energy when the controls are simulated; NaN if f_r reaches zero in flight.
     miss_m : float
-        Distance from the goal at the end of this simulation.
+        Distance from the goal at the end of the simulated flight.
     """
 
     trial: MeshTrial
