@@ -32,7 +32,7 @@ COLUMNS = (
 HEADER = "{:<22}{:>18}{:>18}{:>18}{:>10}{:>10}{:>8}{:>11}{:>11}{:>14}"
 LINE = "{:<22}{:>18}{:>18.11g}{:>18.11g}{:>10.1e}{:>10.1e}{:>8d}{:>11.2f}{:>11.2f}{:>14}"
 # Seconds that a solve is worth waiting for.
-_PATIENCE = 60.0
+_PATIENCE = 120.0
 
 
 def textbook(name):
