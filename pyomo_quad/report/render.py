@@ -91,9 +91,9 @@ _BLANK = re.compile(
 def visible(text: str) -> str:
     r"""Replace the invisible characters of a text by Python escapes such as ``\u200b``.
 
-    Control characters, direction marks, zero-width characters and lone surrogates are replaced;
-    blanks and line breaks are kept. Thus no name in a message or report can look like a different
-    name.
+    Control characters, direction marks, zero-width characters and lone surrogates are replaced.
+    Blanks and line breaks are kept. The escapes prevent two different names from looking alike in a
+    message or report.
     """
     return "".join(
         letter
@@ -137,7 +137,8 @@ def written(text: str) -> Markup:
 def _code(text: str) -> Markup:
     """Format the name of a flight, file, field or command as a Markdown code span.
 
-    `text` is the name. A name that would end the code span is escaped instead.
+    `text` is the name. A name that a code span cannot hold, such as a name with a backtick, is
+    returned as escaped Markdown without a code span.
     """
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
@@ -146,10 +147,10 @@ def _code(text: str) -> Markup:
 
 
 def _finalize(value: object) -> Markup:
-    """Escape a value that a template prints, unless it is marked as Markdown already.
+    """Escape a value that a template prints.
 
-    A value that a template or a filter produced as Markdown is marked by its type, `Markup`. Jinja
-    calls this function for each value that a template prints.
+    A value of type `Markup` is Markdown already and is returned unchanged. Jinja calls this
+    function for each value that a template prints.
     """
     return value if isinstance(value, Markup) else written(escape_markdown(str(value)))
 

@@ -179,12 +179,14 @@ class RunRecord:
 
 
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
-    """Read from a report folder an earlier run of the same scenario, if its plan was verified.
+    """Return the results of an earlier run of a scenario, read from the run's report folder.
 
-    A plan is verified if simulation confirmed the plan to the requested accuracy. A comparison of
-    scenarios uses the earlier run instead of solving the scenario again. A run by other versions of
-    the package or its dependencies is ignored, because its numbers may differ. A run of a user's
-    own model is also ignored, because the model's code may have changed.
+    A comparison of scenarios uses the earlier run instead of solving the scenario again. Three
+    kinds of runs are ignored:
+
+    - The plan was not verified: simulation did not confirm the plan to the requested accuracy.
+    - The package or its dependencies had other versions, so that the numbers may differ.
+    - The scenario uses a user's own model, whose code may have changed.
 
     Parameters
     ----------
@@ -196,8 +198,8 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     Returns
     -------
     RunRecord or None
-        Results of the earlier run; None if the folder holds no run of the scenario, or only a run
-        that is ignored or whose plan was not verified.
+        Results of the earlier run. None if the folder holds no run of the scenario, or if the run
+        is ignored.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -303,8 +305,8 @@ class FreeClimb:
     """Climb whose potential energy exceeds all the energy that the flight uses above hovering.
 
     Energy above hovering is the energy of the flight less the energy of hovering for the same time.
-    Such a climb is physically impossible. It shows a limitation of power models that do not depend
-    on the airspeed; the report warns of it.
+    Such a climb is physically impossible. The cause is a power model that does not depend on the
+    airspeed. The report warns of the climb.
 
     Attributes
     ----------
@@ -327,13 +329,12 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 
     Energy above hovering is the energy of the plan less the energy of hovering for the same time.
     The result is None if the potential energy does not exceed the energy above hovering, or if the
-    goal is not above the start. The result is also None in three cases in which the two energies
-    are not compared:
+    goal is not above the start. In three cases the energies are not compared, and the result is
+    None:
 
-    - The electric power may depend on the airspeed, so that the power model can account for the
-      energy of a climb. In the package's power model `momentum` the power depends on the airspeed;
-      in a user's own Pyomo model it may.
-    - The mission releases parcels on the way, because the parcels do not climb to the goal.
+    - The power model is `momentum` or a user's own Pyomo model. The power may then depend on the
+      airspeed and so include the energy of the climb.
+    - The mission releases parcels on the way. The parcels do not climb to the goal.
     - The controls of the plan were not simulated, for example because the solve failed.
     """
     scenario = plan.scenario
@@ -398,11 +399,12 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
     Returns
     -------
     dict
-        Path length [m] (key `path_m`), charge used [percent] (`battery_percent`), and the time
-        [minutes] (`charge_minutes`) and distance [m] (`charge_m`) that a full charge would permit.
+        Four values by key. `path_m`: path length [m]. `battery_percent`: charge used [percent].
+        `charge_minutes` and `charge_m`: flight time [minutes] and distance [m] on a full charge.
         If the table has no column of the charge, `battery_percent` is None, and the keys
-        `charge_minutes` and `charge_m` are absent. The same holds if the plan's controls were not
-        simulated, for example because the solve failed; then the path length is also 0.
+        `charge_minutes` and `charge_m` are absent. If the plan's controls were not simulated, for
+        example because the solve failed, these two keys are absent too, `battery_percent` is None
+        and `path_m` is 0.
     """
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
@@ -442,10 +444,9 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a run, except its plan.
 
-    `result` holds the results of the run. `replanned` is a table with one row for each flight
-    during which the controller solved the optimal control problem again; a row has the flight's
-    results and the times that the solves took. The returned dictionary has the values of the
-    variables, by name.
+    `result` holds the results of the run. `replanned` is a table of the flights whose controller
+    solved the optimal control problem again during the flight. Each flight has one row, with its
+    results and the solve times. The returned dictionary has the values of the variables, by name.
     """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
@@ -492,8 +493,8 @@ def _is_good(result: "RunResult") -> bool:
     """Return whether a run succeeded, so that its report shows the main result in green.
 
     A run succeeds if simulation confirmed the plan to the requested accuracy. If the plan was made
-    for a wind forecast, every flight of the run (`result.comparison` has a row for each flight)
-    must also have reached the goal.
+    for a wind forecast, every flight of the run must also have reached the goal. `result` holds the
+    plan and the flights.
     """
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
@@ -501,11 +502,11 @@ def _is_good(result: "RunResult") -> bool:
 
 
 def prepare_figures(figures: Figures) -> None:
-    """Import matplotlib and the module of figures before use, unless no figures are wanted.
+    """Import matplotlib and the module of figures in advance.
 
     A command calls this function while other processes compute, so that the import does not delay
-    the report. `figures` is the requested file format of the figures, or `Figures.NONE` for a
-    report without figures; then nothing is imported.
+    the report. `figures` is the requested file format of the figures. For `Figures.NONE`, a report
+    without figures, nothing is imported.
     """
     if figures is not Figures.NONE:
         _gallery()
@@ -523,10 +524,10 @@ def _gallery() -> ModuleType:
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield the figures of a report, which the argument `listed` obtains from the module `gallery`.
+    """Yield the figures of a report, made by functions of the module `gallery`.
 
-    The module `gallery` is imported when the first figure is requested, so that a report without
-    figures does not import matplotlib.
+    The module `gallery` is imported when the first figure is requested. A report without figures
+    therefore does not import matplotlib.
 
     Parameters
     ----------

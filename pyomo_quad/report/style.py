@@ -149,9 +149,9 @@ ROTOR_STYLES = (
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
     """Return the line style of each flight, determined by the name of the flight.
 
-    Each name that the program itself gives to a flight, such as the name of the plan or of a
-    baseline flight, has the same style in all reports. Flights whose names a caller has chosen get
-    the remaining styles in turn.
+    The program itself names some flights, such as the plan and the baseline flights. Each of these
+    names has a fixed style in all reports. Flights with any other name get the remaining styles in
+    turn.
 
     Parameters
     ----------
@@ -196,9 +196,8 @@ def save_figure(
 def _drawn(draw: Callable[[], Figure]) -> Figure:
     """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
 
-    For each axis without a text label, the position of the empty label is set to a constant.
-    Otherwise matplotlib would compute a position for the empty label; these computations take a
-    tenth of the drawing time.
+    For each axis without a text label, the position of the empty label is set to a constant. This
+    saves a tenth of the drawing time, because matplotlib need not compute the position.
     """
     figure = draw()
     for axes in figure.axes:
@@ -356,7 +355,7 @@ def draw_panels(
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
     """Give panels a common vertical scale that covers at least a given range.
 
-    This least range keeps numerical noise from filling a panel whose curve is constant.
+    Without the least range, numerical noise of a constant curve would fill the panel.
 
     Parameters
     ----------
@@ -429,8 +428,8 @@ class StyledFlight:
 def plan_flight(plan: "Plan") -> "Flight":
     """Return the planned flight as a `Flight` (table and energy under a name), for figures.
 
-    The flight is named "best iterate" if the solve failed, because the trajectory of a failed solve
-    need not be feasible. Otherwise the flight is named "optimal".
+    The flight is named "optimal". If the solve failed, the flight is named "best iterate", because
+    the trajectory of a failed solve may violate constraints.
     """
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
@@ -499,10 +498,9 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the plan and the baseline flight with which the plan's energy is compared.
 
-    The plan is the first of the given flights. The baseline flight is the flight whose name is the
-    constant `FAIR_BASELINE`. In the baseline flight a controller follows a smooth reference
-    trajectory that is made without the plan. If the given flights do not include the baseline
-    flight, the plan is returned alone.
+    In the baseline flight a controller follows a smooth reference trajectory that is made without
+    the plan. The name of the baseline flight is the constant `FAIR_BASELINE`. If the baseline
+    flight is not among the given flights, the plan is returned alone.
 
     Parameters
     ----------

@@ -89,8 +89,8 @@ def flight_summary(
     arrived : bool
         Whether the flight reached the goal.
     wall_s : mapping
-        Wall time [s] of each phase of the program, such as import, by name. The wall time of
-        the flight's simulation is added from `flight`.
+        Wall time [s] of phases of the program, such as import, by name. The summary also has the
+        wall time of the flight's simulation, taken from `flight`.
     """
     return {
         "scenario": scenario.name,
@@ -162,8 +162,8 @@ def plan_summary(
         The plan, which may be the best iterate of a failed solve.
     wall_s : mapping
         Wall times [s] of further phases of the program by name, such as import and report. The
-        summary also has the wall times of building, solving and verifying the plan, which the plan
-        itself holds in its attribute `timings`.
+        summary also has the wall times of building, solving and verifying the plan, taken from
+        `plan.timings`.
     warnings : sequence of str, optional
         Cautions to record.
     """
@@ -216,8 +216,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
         A plan with the baseline flights it is compared with.
     wall_s : mapping
         Wall times [s] of further phases of the program by name, such as the report. The summary
-        also has the wall times of planning, of the flights and of the lower bound, which `result`
-        holds in its attribute `timings`.
+        also has the wall times of planning, of the flights and of the lower bound, taken from
+        `result.timings`.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
@@ -330,9 +330,9 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     dict
         Content of `summary.json`, not validated.
     DataFrame
-        The time, which increases from row to row, and those known columns that the table has; all
-        values are finite. The known columns are `ALL_COLUMNS`, the columns of a flight's table for
-        any vehicle that a scenario can describe.
+        Trajectory table: the time, and the columns of the file that are members of `ALL_COLUMNS`,
+        the list of all columns that a flight's table can have. The time increases from row to row.
+        All values are finite.
 
     Raises
     ------
@@ -355,8 +355,8 @@ AIMS_NAME = "energy_and_charge.csv"
 def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
-    Each point of the front is the optimal flight for one price of time: the energy that one second
-    less of flight is worth [J/s = W].
+    Each point of the front is the optimal flight for one price of time. The price of time is the
+    extra energy that is accepted to shorten the flight by one second [J/s = W].
 
     Parameters
     ----------

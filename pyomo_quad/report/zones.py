@@ -78,8 +78,9 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_faces, n_corners, 3)
-        Corners in m. A polygon with fewer corners repeats its last corner, because matplotlib pads
-        faces of unequal length with uninitialised memory and includes it in the scale of its axes.
+        Corners in m. A polygon with fewer than n_corners corners repeats its last corner. Without
+        the repetition, matplotlib would pad the polygon with uninitialised memory, which would
+        falsify the scale of the axes.
     """
     cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
     most = max(map(len, cut), default=0)
@@ -92,7 +93,8 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
 
     Each face holds the corners of a polygon in m, shape (n_corners, 3). The zone is approximated by
     horizontal cross-sections at increasing heights. Faces with four corners join neighbouring
-    cross-sections; the lowest and the highest cross-section are the bottom and the top.
+    cross-sections. Except for a sphere, the lowest cross-section and the highest cross-section are
+    faces too.
     """
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2

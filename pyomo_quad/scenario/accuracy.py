@@ -35,35 +35,34 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative tolerance of three quantities: the difference between the plan's energy and the
-        least energy, the difference between the energies of simulation and plan, and the
-        collocation error of the states, at which mesh refinement stops.
+        Relative tolerance of the plan's energy compared with the least energy, and of the simulated
+        energy compared with the plan's energy. Mesh refinement stops at a collocation error of the
+        states of this size.
     miss : float
-        Largest deviation of each final state from the mission's goal, and of the position from
-        each waypoint at the time of passing, when the controls are simulated without feedback. The
-        unit is that of the state: m, m/s or rad. For a state of magnitude above 1, the deviation
-        is divided by this magnitude.
+        Largest deviation of the simulated final state from the mission's goal, and of the simulated
+        position from each waypoint. The simulation has no feedback. The tolerance applies to each
+        state in the state's unit: m, m/s or rad. For a state of magnitude above 1, the deviation is
+        divided by the magnitude.
     breach : float
-        Largest violation of a limit between collocation points, divided by the limit's magnitude
-        or by 1, whichever is larger.
+        Largest violation of a limit between collocation points, divided by the limit's magnitude.
+        A magnitude below 1 counts as 1.
     turning : float
-        Largest rate of turn of the heading [rad/s] that is tolerated in a mission that keeps the
-        heading constant. The level `quick` tolerates about three degrees per second, and the level
-        `standard` about half a degree per second, because a brief turn at such a rate changes
-        neither the path nor the energy.
+        Largest rate of turn [rad/s] in a mission that keeps the heading constant. A brief slow turn
+        changes neither the path nor the energy. The level `quick` therefore tolerates about three
+        degrees per second, and the level `standard` about half a degree per second.
     intrusion : float
         Largest distance [m] by which the flight may enter the clearance of a keep-out zone, fall
         below the floor, rise above the ceiling or leave the fence. For these limits the smaller of
-        the tolerances `breach` and `intrusion` applies, because a `breach` of 1 % alone would allow
-        half a metre at a ceiling of 50 m. At the level `proof`, `intrusion` is infinite, so that
-        only `breach` applies.
+        the tolerances `breach` and `intrusion` applies. A `breach` of 1 % alone would allow half a
+        metre at a ceiling of 50 m. At the level `proof`, `intrusion` is infinite, so that only
+        `breach` applies.
     integration : float
-        Relative and absolute tolerance of the simulation. This tolerance is far below the other
+        Relative and absolute tolerance of the simulation. The value is far below the other
         tolerances, because errors of a flight without feedback grow about a millionfold in half a
         minute.
     spacing : float
-        Distance [m] between the places at which the simulated path is checked for entry into
-        keep-out zones, where the path is near a zone.
+        Distance [m] between neighbouring places at which the simulated path is checked for entry
+        into a keep-out zone. Only the parts of the path near a zone are checked so densely.
     """
 
     energy: float

@@ -52,12 +52,12 @@ class Ball(NamedTuple):
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
         interval along the normal of a polygon's edge.
     centre : tuple of float
-        Coordinates of the centre [m]: one for each member of `axes`; for an interval along a
-        normal, the single coordinate along this normal.
+        Coordinates of the centre [m], one for each member of `axes`. For an interval along a
+        normal, the single coordinate along the normal.
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None
-        For an interval along the normal of a polygon's edge: this normal, a horizontal unit vector.
+        Normal of a polygon's edge, as a horizontal unit vector, for an interval along the normal.
         None for all other balls.
     """
 
@@ -69,11 +69,10 @@ class Ball(NamedTuple):
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
         """Return the coordinates of places that decide whether the places are in the ball.
 
-        A place is in the ball if its distance from the centre, computed from these coordinates
-        only, is at most the radius. The returned coordinates are x, y and z for a sphere, and x and
-        y for a vertical cylinder without ends. An interval (the space between two parallel planes)
-        has a single coordinate: x, y or z, or the component of the position along the normal of a
-        polygon's edge.
+        The coordinates are x, y and z for a sphere, and x and y for a vertical cylinder without
+        ends. An interval, that is, the space between two parallel planes, has a single coordinate:
+        x, y or z, or the component of the position along the normal of a polygon's edge. A place is
+        in the ball if the distance of its coordinates from the centre is at most the radius.
 
         Parameters
         ----------
@@ -104,8 +103,8 @@ class Ball(NamedTuple):
         Returns
         -------
         ndarray, shape (...)
-            For each place, the radius of the ball minus the distance between the place and the
-            centre of the ball. The distance is measured in the ball's one to three coordinates.
+            Radius of the ball minus the distance of each place from the ball's centre. The distance
+            is measured in the one to three coordinates of the ball (see `coordinates`).
         """
         import numpy as np  # noqa: PLC0415  see `coordinates`
 
@@ -127,9 +126,10 @@ _STRAIGHT = 1e-9
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     """Return twice the signed area of the triangle that each corner forms with its neighbours.
 
-    The sign shows in which direction the outline of the polygon turns at the corner. The sum over
-    the corners of a convex polygon is positive if they are in counter-clockwise order. A zero shows
-    that a corner is on the straight line between its two neighbours.
+    A positive value means that the outline of the polygon turns left at the corner, a negative
+    value that it turns right. At zero the corner is on the straight line between its two
+    neighbours. For a convex polygon, the sum over all corners is positive if the corners are in
+    counter-clockwise order.
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     Returns
     -------
     list of float
-        For each corner twice the area of the triangle [m²]; positive where the outline turns left.
+        Twice the signed area of the triangle at each corner [m²].
     """
     count = len(corners)
     found = []
@@ -155,9 +155,9 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 
 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
-    """Raise ValueError unless the corners x, y [m], in the given order, form a convex polygon.
+    """Raise ValueError if a list of corners x, y [m], in order, is not a convex polygon.
 
-    The error message begins with the text `what`, which names the polygon.
+    `what` is the beginning of the error message, and names the polygon.
     """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
@@ -198,9 +198,9 @@ def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
     `corners` holds the corners x, y of the polygon in order [m]. A slab is the space between two
-    parallel vertical planes. Each slab is represented by a `Ball` in one coordinate, measured along
-    the edge's normal. Two parallel edges have the same slab, and this slab is yielded only once.
-    The intersection of all slabs is the polygon.
+    parallel vertical planes, here a `Ball` with one coordinate along the edge's normal. The
+    intersection of all slabs is the polygon. Two parallel edges have a common slab, which is
+    yielded only once.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -291,10 +291,10 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of a prism's ground plan, with its edges moved outwards.
+        """Return the corners of a prism's ground plan, with the edges moved outwards.
 
-        The zone must be a prism over a convex polygon. Corners on the straight line between their
-        two neighbours are left out.
+        The zone must be a prism over a convex polygon. A corner on the straight line between its
+        two neighbours is left out.
 
         Parameters
         ----------
@@ -424,10 +424,10 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface of the heights that clear the terrain on straight flights home.
+        """Return a smooth surface of heights from which a straight flight home clears the terrain.
 
-        At every place, the height of the surface is at least the height of the ground anywhere
-        below the straight horizontal line from this place to the home.
+        The height of the surface at a place is at least the greatest height of the ground below the
+        straight horizontal line from the place to the home.
 
         Parameters
         ----------
@@ -445,8 +445,8 @@ class TerrainGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's four edges, by name ("west", "east", "south", "north").
 
-        Each value gives the axis (0 for x, 1 for y), the side (-1 for the lower end, 1 for the
-        upper) and the coordinate of the edge on that axis [m].
+        Each value is a tuple: the axis (0 for x, 1 for y), the end of the axis (-1 for the lower
+        end, 1 for the upper end) and the coordinate of the edge on the axis [m].
         """
         return {
             "west": (0, -1.0, self.x[0]),
@@ -613,10 +613,10 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return words that name a zone and its clearance, "NAME with its clearance of 2 m".
+        """Return words for error messages, such as "NAME with its clearance of 2 m" for a zone.
 
-        The words are used in error messages. The clearance is the distance that the flight must
-        keep from every keep-out zone; if it is zero, only the zone's name is returned.
+        The clearance is the distance that the flight must keep from every keep-out zone. Without
+        clearance, only the zone's name is returned.
         """
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

@@ -106,8 +106,7 @@ def field_unit(path: str) -> str:
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
     """Return the origin of a field's value, such as "default" or "library dji_phantom_2".
 
-    If no origin is recorded for the field itself, the origin of the list or table that contains
-    the field is returned.
+    A field without a recorded origin has the origin of the list or table that contains the field.
 
     Parameters
     ----------
@@ -148,9 +147,8 @@ _LIMITS = {"minimum": "≥", "exclusiveMinimum": ">", "maximum": "≤", "exclusi
 class WritableField:
     """Description of a field that users may write in a scenario or study file.
 
-    A study file describes a parameter sweep. The attributes are texts: dotted path, unit, default,
-    allowed values and meaning of the field. These five texts make up one row of the documentation's
-    table of fields.
+    A study file describes a parameter sweep. The attributes are the texts of one row in the
+    documentation's table of fields: dotted path, unit, default, allowed values and meaning.
     """
 
     path: str
@@ -223,10 +221,11 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return JSON Schemas for the other notations in which a file may give a field.
+    """Return JSON Schemas for alternative notations of a field in a file.
 
-    There are two such notations. A place may be given by latitude and longitude instead of x, y and
-    z. The direction of a wind may be given as the direction from which the wind blows.
+    Two kinds of fields have an alternative notation. A place may be given by latitude and longitude
+    instead of x, y and z. The direction of a wind may be given as the direction from which the wind
+    blows.
 
     Parameters
     ----------
@@ -238,8 +237,8 @@ def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON Schema of the value, by the key that the file then uses; empty if the field has no
-        other notation.
+        JSON Schema of the value, by the key of the alternative notation in the file. Empty if the
+        field has no alternative notation.
     """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
@@ -255,8 +254,7 @@ def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
 def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
     """Return the keys by which a file may give a field in other units, each with the unit's name.
 
-    For example, the key `roll_max_deg` gives the field `roll_max`, whose unit is the radian, in
-    degrees.
+    For example, the field `roll_max` is in radians, and its key `roll_max_deg` is in degrees.
 
     Parameters
     ----------
@@ -348,10 +346,10 @@ def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
 
 
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
-    """Return a number's allowed range in words, with the reason for the plausible range.
+    """Return the allowed range of a number in words, followed by the reason for the range.
 
-    The allowed range is the overlap of two ranges: the field's plausible range, and the minimum and
-    maximum in the JSON Schema of the number.
+    The allowed range is the overlap of the field's plausible range with the range from minimum to
+    maximum in the JSON Schema.
 
     Parameters
     ----------
@@ -434,7 +432,7 @@ def files_beside(template: str) -> dict[str, Path]:
 
 
 def refuse_no_name(text: str) -> None:
-    """Raise an error unless a text is a valid name of a scenario or vehicle.
+    """Raise an error if a text is not a valid name of a scenario or vehicle.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Declaration of scenario fields with unit, meaning and plausible range; access by dotted path.
 
 Fields are in nested tables, as in TOML. A dotted path such as `mission.goal.position[2]` locates a
-field; in the program it is a tuple of keys and list indices.
+field. In the program the path is a tuple of keys and list indices.
 """
 
 import re
@@ -44,8 +44,8 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 class Sound(NamedTuple):
     """Plausible range of a numeric scenario field, and the reason for the range in words.
 
-    A number outside the range is refused. Such a number is taken for a typing error or a wrong
-    unit, and might cause overflow.
+    A number outside the range is refused, because it is probably a typing error or in a wrong unit,
+    and might cause overflow.
 
     Attributes
     ----------
@@ -112,8 +112,7 @@ class Part(BaseModel):
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
         A field that is newer than some stored records is left out if its value is the default.
-        The record of an unchanged scenario therefore equals the record that an earlier version
-        of the package stored.
+        An unchanged scenario therefore has the same record as in earlier versions of the package.
 
         Parameters
         ----------
@@ -181,20 +180,20 @@ def quantity(
     example : str, optional
         Example value in TOML, for the message on a missing field.
     other_names : tuple of str, optional
-        Keys that users may write by mistake for this field, such as `time` for `duration`; the
-        error message then names the field.
+        Keys that users may write by mistake for the field, such as `time` for `duration`. The error
+        message about such a key names the field.
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether the field is newer than some records (stored scenarios). A record without the field
-        is read with the field's default, and new records leave the field out while its value is the
+        Whether the field is newer than some records (stored scenarios). In a record without the
+        field, the field has its default. New records leave the field out if its value is the
         default.
     initial : object, optional
-        Value for a new scenario whose file leaves the field out, in place of `default`. If
-        `initial` is given, `default` applies only to records (stored scenarios) without the field.
+        Value of the field in a scenario file without the field. If `initial` is given, `default`
+        applies only to records (stored scenarios) without the field.
     unit_keys : mapping, optional
-        Further keys by which a file may give the field in another unit; each with the factor from
-        that unit to `unit`.
+        Further keys of the field in a file, for other units. The value of a key is the factor from
+        the key's unit to `unit`.
     **limits
         Constraints of pydantic, such as ``gt=0`` or ``max_length=200``.
 
@@ -286,11 +285,10 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the initial value of a field: what a scenario gets if its file leaves the field out.
+    """Return the initial value of a field, which applies if a scenario file leaves the field out.
 
-    The result is None if no initial value is declared, as for most fields; then the scenario gets
-    the field's default. The function `quantity` declares a field, with its default and initial
-    value.
+    Most fields have no initial value. The result is then None, and the field's default applies. The
+    function `quantity` declares the default and the initial value of a field.
 
     Parameters
     ----------
@@ -316,8 +314,7 @@ def unit_keys_of(model: type[BaseModel]) -> dict[str, tuple[str, float]]:
     Returns
     -------
     dict
-        For each key the name of the field, and the factor from the key's unit to the unit of the
-        field.
+        Name of the field, and factor from the key's unit to the field's unit, by key.
     """
     keys: dict[str, tuple[str, float]] = {}
     for name in model.model_fields:
@@ -455,8 +452,8 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     lower, upper : mapping
-        Nested tables. If both have a table for the same key, these two tables are merged in turn.
-        If both have any other value for the same key, the result has the value in `upper`.
+        Nested tables. If a key is in both, its value in `upper` is taken. If both values of the key
+        are tables, the two values are merged instead.
 
     Returns
     -------

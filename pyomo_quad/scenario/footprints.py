@@ -1,10 +1,10 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex: the model requires each place of the flight to be beyond at least one
-face of a zone, and only for a convex zone is this equivalent to being outside. A concave polygon is
-divided into convex zones NAME-1, NAME-2 and so on, which share edges without gaps. A concave fence
-is replaced by its convex hull, and the parts of the hull outside of the fence become keep-out zones
-fence-1, fence-2 and so on.
+Keep-out zones must be convex. The model requires each place of the flight to be beyond at least one
+face of a zone. In a concave zone, a place could be beyond a face and yet inside the zone. A concave
+polygon is divided into convex zones NAME-1, NAME-2 and so on, without gaps between the zones. A
+concave fence is replaced by its convex hull. The parts of the hull outside the fence become
+keep-out zones fence-1, fence-2 and so on.
 """
 
 import json
@@ -29,7 +29,9 @@ _Ring = list[tuple[float, float]]
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
-    Invalid polygons are not changed; the later validation of the scenario rejects them.
+    A concave fence is replaced by its convex hull, with keep-out zones for the parts of the hull
+    outside the fence. Invalid polygons are not changed, because the later validation of the
+    scenario rejects them.
 
     Parameters
     ----------
@@ -88,9 +90,9 @@ def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and se
 def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
     """Divide a polygon into convex parts.
 
-    The polygon is triangulated. Then neighbouring parts are merged as long as their union is
-    convex, by the method of Hertel and Mehlhorn (1983), which gives at most four times the least
-    possible number of parts.
+    The number of parts is at most four times the least possible number. By the method of Hertel and
+    Mehlhorn (1983), the polygon is triangulated, and neighbouring parts are merged while their
+    union is convex.
 
     Parameters
     ----------
@@ -151,7 +153,7 @@ def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `i
     Returns
     -------
     tuple of (list, list of list)
-        Corners (x, y) of the hull, and the corners of each part; the parts are convex.
+        Corners (x, y) of the hull, and a list of the corners of each part. Parts are convex.
     """
     from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
@@ -169,8 +171,8 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     ----------
     file : Path
         A FeatureCollection of polygons with longitudes and latitudes on WGS 84. Each feature has
-        the property `top` (or `height`), and may have `bottom` (or `min_height`), both in m above
-        the origin, and `name`.
+        the property `top` (or `height`), and may have the properties `bottom` (or `min_height`) and
+        `name`. Top and bottom are in m above the origin.
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin or None
@@ -254,10 +256,9 @@ def _height(
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
     """Yield the rings (closed outlines) of each polygon of a GeoJSON feature.
 
-    `feature` is the feature as read from the file, with the geometry Polygon or MultiPolygon. For
-    each polygon a list is yielded: the outer ring, then the rings of any holes. If the feature has
-    another geometry, a ScenarioError is raised. `where` is the beginning of the error message: the
-    file and the feature.
+    `feature` is the feature as read from the file. For each polygon a list is yielded: the outer
+    ring, then the rings of any holes. A geometry other than Polygon or MultiPolygon raises a
+    ScenarioError. `where` is the beginning of the error message: the file and the feature.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

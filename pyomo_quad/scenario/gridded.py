@@ -62,7 +62,7 @@ class Quantity:
     axes : tuple of str
         Names of the axes that the grid may have: "x", "y", "z" and "time", or some of them.
     names : tuple of tuple of str
-        For each component its possible names in NetCDF, the standard name of the CF conventions
+        Possible names of each component in NetCDF. The standard name of the CF conventions is
         first.
     columns : tuple of str
         Column of each component in a CSV or Parquet table.
@@ -70,8 +70,8 @@ class Quantity:
         Number of components that a file must have, counted from the first; later components may be
         absent.
     units : mapping of str to float
-        Units allowed in NetCDF, each with its factor to SI units; the first applies to a variable
-        without a unit.
+        Units allowed in NetCDF, each with the factor from the unit to SI units. A variable without
+        a unit has the first of these units.
     """
 
     word: str
@@ -146,9 +146,9 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
     """Convert the axes of gridded data to metres from the mission's origin.
 
-    Longitude and latitude are converted along the middle lines of the grid. Meridians converge
-    toward the poles; a grid is refused if it spans so much of the earth that this convergence
-    noticeably skews the grid in metres.
+    Longitude and latitude are converted along the middle lines of the grid. A grid that spans too
+    much of the earth is refused, because the convergence of the meridians toward the poles would
+    noticeably skew the grid in metres.
 
     Parameters
     ----------
@@ -249,9 +249,9 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    `variables` maps the names in the file to its variables. Each of `names` is compared with the
-    attribute `standard_name` and with the name of every variable. Names that come first in `names`
-    have precedence.
+    `variables` holds the variables of the file by name. A variable has a given name if its name in
+    the file or its attribute `standard_name` is the given name. Earlier members of `names` have
+    precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -367,9 +367,9 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 def _rising(field: Gridded, place: str) -> Gridded:
     """Return gridded data with ascending axes.
 
-    `field` is the data as read from the file; its values are reordered with the axes. A height or
-    time axis that has a single point is dropped. Raises a ScenarioError, whose message begins with
-    `place`, if the data lack the axis x or y or have too many values.
+    `field` is the data as read from the file. The values are reordered with the axes. A height or
+    time axis with a single point is dropped. If the axis x or y is missing, or if there are too
+    many values, a ScenarioError is raised. `place` is the beginning of the error message.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

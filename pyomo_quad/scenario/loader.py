@@ -203,8 +203,8 @@ def assignments_of(tables: Mapping[str, Any], source: str) -> dict[FieldPath, An
     Parameters
     ----------
     tables : mapping
-        New values of scenario fields: nested as in a scenario file, ``{"mission": {"duration":
-        8.0}}``, or by dotted path, ``{"mission.duration": 8.0}``, or both mixed.
+        New values of scenario fields, nested as in ``{"mission": {"duration": 8.0}}``, or by dotted
+        path as in ``{"mission.duration": 8.0}``. A mapping may contain both forms.
     source : str
         Beginning of error messages: the name of the scenario or of the overrides.
 

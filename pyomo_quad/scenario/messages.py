@@ -54,8 +54,8 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert pydantic's validation errors of a table to messages of one line each.
 
-    Messages about unknown keys come first. An unknown key is often a misspelt field. If an unknown
-    key resembles a missing required field, only the unknown key is reported.
+    Messages about unknown keys come first. An unknown key that resembles a missing required field
+    is probably the misspelt field. Then only the unknown key is reported.
 
     Parameters
     ----------
@@ -66,8 +66,8 @@ def complaints(
     prefix : tuple, optional
         Path of the table in the file, put before the paths in messages.
     spared : sequence of tuple, optional
-        Paths below which missing and contradictory fields are not reported, because a file or
-        library entry that should supply their values has already caused an error.
+        Paths below which missing and contradictory fields are not reported. The values of these
+        fields come from a file or library entry that has already caused an error.
 
     Returns
     -------
@@ -115,10 +115,9 @@ def listed(lines: Sequence[str]) -> str:
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
     """Return the path of a pydantic error without the type name that pydantic may append.
 
-    For a field that accepts a number or a word, such as `mission.duration`, pydantic reports an
-    error for each type, and appends the type's name to the field's path. The scenario file has no
-    such key. `path` is the path that pydantic reports, and `model` the model class of the validated
-    table.
+    Some fields, such as `mission.duration`, accept either a number or a word. For these fields
+    pydantic reports an error for each type, and appends the name of the type to the field's path.
+    `path` is the path that pydantic reports, and `model` the model class of the validated table.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
@@ -182,7 +181,7 @@ def declared_place(
     """Find the innermost table on a path of a scenario, and the unit of the last field on the path.
 
     For the path `mission.goal.position[2]` the innermost table is `goal`, and the last field is
-    `position`. An error message about a path names the unit, and other fields of the table.
+    `position`. Error messages use the result: they name the unit and other fields of the table.
 
     Parameters
     ----------
@@ -299,10 +298,9 @@ def _example(model: type[BaseModel], name: str) -> str:
 
 
 def table_of(model: type[BaseModel], name: str) -> type[BaseModel] | None:
-    """Return the pydantic class of the values of a field.
+    """Return the pydantic class of the table, or of the list of tables, that a field holds.
 
-    A table of a scenario file is an instance of a pydantic class. A field of a table may have
-    another table as its value, or a list of tables.
+    Each table of a scenario file is read as an instance of a pydantic class.
 
     Parameters
     ----------

@@ -273,10 +273,9 @@ class Mission(Part):
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return the times at which waypoints are reached and left, and the end time.
 
-        A leg is the flight from one place (start, waypoint or goal) to the next. If a waypoint or
-        the goal has a prescribed time, the durations of all legs since the previous prescribed
-        time, or since the start, are multiplied by the factor with which the flight arrives at the
-        prescribed time.
+        A leg is the flight from one place (start, waypoint or goal) to the next. Each place with a
+        prescribed time is reached on time. For this purpose, the durations of all legs between two
+        prescribed times are multiplied by a common factor. The start counts as a prescribed time.
 
         Parameters
         ----------
@@ -314,8 +313,8 @@ class Mission(Part):
     def fixed_duration(self) -> float:
         """Prescribed duration [s] of a mission whose duration is not free.
 
-        For a mission with free duration, first make a copy of the scenario with a fixed duration,
-        by the method `Scenario.lasting`.
+        For a mission with free duration, first call `Scenario.lasting`, which returns a copy of the
+        scenario with a fixed duration.
 
         Raises
         ------
@@ -345,10 +344,10 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the fields of the mission that must change if a free duration is fixed.
+        """Return the new values of the fields that must change if a free duration is fixed.
 
-        The limits on the duration, and the price of time (energy equivalent of a second, in W), are
-        set to their defaults. If the mission's aim is least time, the aim is changed to least
+        The limits on the duration get their defaults. The price of time, the energy equivalent of a
+        second [W], also gets its default. The aim of least time is replaced by the aim of least
         energy, because the duration is now fixed.
 
         Parameters

@@ -7,10 +7,11 @@ T, A | thrust [N] and disc area [m²] of this rotor
 rho | air density [kg/m³]
 P_i | ideal power of hover [W], T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
-A motor with k_t k_v = 1 conserves energy; a larger product would create power. No rotor hovers with
-less shaft power tau omega than P_i (momentum theory). No moment of inertia of a body exceeds the
-sum of the body's other two moments: the moment about x, for example, is the integral of y² + z²,
-and the integrals of x² + z² and x² + y² sum to at least as much.
+A motor with k_t k_v = 1 conserves energy; a larger product would create power. By momentum theory,
+the shaft power tau omega of a rotor in hover is at least P_i. No moment of inertia of a body
+exceeds the sum of the other two moments. For example, the moment about x is the integral of
+y² + z². The other two moments are the integrals of x² + z² and x² + y². Their sum is at least as
+large.
 """
 
 from collections.abc import Iterator
