@@ -3,11 +3,10 @@
 A plan is an optimised flight. A run is a plan together with the baseline flights that it is
 compared with.
 
-Methods such as `Plan.plot` need the package `pyomo_quad.report`, which imports matplotlib. Modules
-that define plans and runs must not import `pyomo_quad.report`, because a lower package must not
-import a higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports
-and returns the module `pyomo_quad.report.presenting`, the presenter. When a plan or run is drawn or
-reported, its method calls `presenter()`, which returns the presenter.
+Methods such as `Plan.plot` need the module `pyomo_quad.report.presenting`, the presenter, which
+imports matplotlib. Modules of plans and runs must not import the presenter, because it belongs to a
+higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports the
+presenter. The methods of plans and runs call `presenter()` to get it.
 """
 
 from collections.abc import Callable
@@ -124,15 +123,14 @@ _supply: list[Callable[[], Presenter]] = []
 def register_presenter(supply: Callable[[], Presenter]) -> None:
     """Register the function that imports and returns the presenter.
 
-    The presenter is the module `report.presenting`, which draws and reports plans and runs.
-
-    A second registration replaces the first.
+    The presenter is the module `report.presenting`, which draws and reports plans and runs. A later
+    registration replaces an earlier one.
 
     Parameters
     ----------
     supply : callable
-        Function without arguments that returns a `Presenter`. It is not called before the first
-        plan or run is drawn, because it imports matplotlib.
+        Function without arguments that returns a `Presenter`. The function imports matplotlib and
+        is therefore first called when a plan or run is drawn or reported.
     """
     _supply[:] = [supply]
 

@@ -43,10 +43,10 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
-    There is at most one process per core. A copy already has all libraries and data, and ends with
-    this process. A task that fails in a copy, or whose result the copy cannot send back, is
-    repeated here, where its error is raised. If copies are not safe, for example because tasks
-    would wait for BLAS threads, all tasks run here.
+    There is at most one process per core. A copy starts with all libraries and data of this
+    process, and ends with this process. If a task fails in a copy, or its result cannot be sent
+    back, the task is repeated in this process, which raises the error. All tasks run in this
+    process where a fork is not safe (see `cores`).
 
     Parameters
     ----------
@@ -55,15 +55,15 @@ def side_by_side(
     use_blas : bool, default True
         Whether the tasks call BLAS, whose threads a forked copy lacks.
     is_stopped : callable, optional
-        Returns whether the tasks were stopped, by the user for example. It is called every tenth of
-        a second while this process waits for copies. If it returns True, the copies are given up,
-        and their tasks run here, where they are expected to end at once.
+        Function that returns whether the tasks were stopped, for example by the user. It is called
+        every tenth of a second while this process waits for the copies. After True, this process
+        no longer waits but runs the unfinished tasks itself. Stopped tasks should end at once.
 
     Yields
     ------
     callable
-        Runs the remaining tasks, waits for the copies, and returns the result of each task, in the
-        order of `tasks`.
+        Function without arguments. It runs the remaining tasks, waits for the copies, and returns
+        the results in the order of `tasks`.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -119,9 +119,12 @@ def _have_ended(answers: Sequence[Future[Any]]) -> bool:
 def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
-    It is 1 where this process must not be forked: on systems other than Linux, if BLAS or OpenMP
-    use several threads (a forked copy lacks these threads), and in a worker process (several
-    workers share the cores already). `use_blas` is whether the tasks call BLAS.
+    `use_blas` is whether the tasks call BLAS. The number is 1 where this process must not be
+    forked:
+
+    - on systems other than Linux;
+    - if the tasks call BLAS with several threads, because a forked copy lacks the threads;
+    - in a worker process, because the workers already share the cores.
     """
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
     is_own = multiprocessing.parent_process() is None
@@ -134,7 +137,7 @@ def cores(most: int, *, use_blas: bool) -> int:
 def process_pool(count: int) -> Iterator[Executor]:
     """Context manager: pool of ``count`` new (spawned) processes, which end with the block.
 
-    Each process uses one thread. It is killed at the end of the block, even while it works.
+    Each process uses one thread, and is killed at the end of the block even while it works.
     """
     with environment_of_workers():
         pool = pool_of(count)
@@ -170,10 +173,10 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool; called once in each of its processes.
+    """Initialise a process of a pool; each process calls this function once, at its start.
 
-    The process keeps `work`, the function that it later calls (None for no function). SIGTERM ends
-    the process, and a thread ends it when its parent process ends.
+    The process stores `work`, a function to call later, or None. SIGTERM will end the process. The
+    end of the parent process will end the process too.
     """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work
@@ -187,10 +190,10 @@ def _at_work() -> Any:  # noqa: ANN401  the answer of any work
 
 
 def pool_of(count: int) -> Executor:
-    """Return a pool of ``count`` new (spawned) processes, which the caller must end.
+    """Return a pool of ``count`` new processes, which the caller must end with `end_processes`.
 
-    `end_processes` ends them. Processes are spawned, not forked, because Ipopt and BLAS do not work
-    in a forked copy of a process with threads.
+    The processes are spawned, not forked, because Ipopt and BLAS do not work in a forked copy of a
+    process with threads.
     """
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
     return _pool(count, "spawn")

@@ -158,8 +158,8 @@ class TrialOutcome:
 def mesh_trials(*, is_quick: bool = False) -> tuple[MeshTrial, ...]:
     """List the settings of all solves on fixed meshes.
 
-    They combine each interpretation of the efficiency f_r of Yacef et al. with several upper
-    bounds on the rotor acceleration and several meshes.
+    The settings combine each interpretation of the efficiency f_r of Yacef et al. with several
+    upper bounds on the rotor acceleration and several meshes.
 
     Parameters
     ----------
@@ -211,8 +211,8 @@ def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[floa
     """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
 
     f_r is the efficiency of motor and rotor of Yacef et al. The power under f_r is infinite where
-    f_r is zero. The motion does not depend on the power; the motion is therefore simulated with the
-    motors' electrical power, which is always finite.
+    f_r is zero. Therefore the simulation uses the motors' electrical power, which is always finite.
+    The choice of the power does not change the motion.
 
     Parameters
     ----------

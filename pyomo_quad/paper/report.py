@@ -29,9 +29,9 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 
 
 class Tolerance(NamedTuple):
-    """Relative difference up to which values of a table of the report count as reproduced.
+    """Greatest relative difference at which a recomputed table of the report counts as reproduced.
 
-    A recomputed table, for example from another machine, is compared with the table in the
+    The table, recomputed on another machine for example, is compared with the table in the
     repository.
 
     Attributes
@@ -69,8 +69,8 @@ TIMES_NAME = "timings.json"
 def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figures.SVG) -> None:
     """Write the report on the paper of Yacef et al.: `report.md`, tables and figures.
 
-    Equal results give files with the same bytes. Only the wall times differ; they are in a separate
-    file.
+    Equal results give identical files. The wall times differ from run to run and are therefore
+    written to a separate file.
 
     Parameters
     ----------
@@ -106,10 +106,11 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 def _equations() -> Iterator[dict[str, Any]]:
     """Yield the model's equations for the flight in wind, typeset in groups for the report.
 
-    Each group belongs to one variant of the model (power model, effect of the wind). A group
-    contains only equations that no earlier group contains. Each dict describes one group: `title`
-    is a heading or None, `power` a power model or None, and `equations` the list of
-    `TypesetEquation` (equations as LaTeX).
+    Each group belongs to one variant of the model: a power model, or an effect of the wind. A group
+    contains only equations that no earlier group contains.
+
+    Each dict describes one group. `title` is a heading or None. `power` is a power model or None.
+    `equations` is a list of `TypesetEquation`, which hold LaTeX.
     """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
@@ -172,11 +173,11 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
-    The result is an upper bound on the absolute rotor acceleration [rad/s²]. The least energy of
-    any flight within such a bound falls as the bound rises, if f_r, the efficiency of motor and
-    rotor, is the bare polynomial. At the returned bound this least energy equals the energy that
-    Yacef et al. print for their optimal flight. The returned bound is interpolated between the
-    bounds for which `study`, the results of the study, holds the least energy.
+    The efficiency f_r of motor and rotor is taken as a bare polynomial. A higher bound on the
+    absolute rotor acceleration then permits flights of less energy. At the returned bound
+    [rad/s²], the least energy of any flight equals the energy that Yacef et al. print for their
+    optimal flight. `study` holds the least energy for several bounds; the result is interpolated
+    between them.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -186,15 +187,28 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
 def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
 
-    `study` has the results of the study, and `experiment` selects the experiment. The result maps
-    names of numbers to their values; the template of the report's text inserts them. The numbers
-    are the energy [J] and the saving [percent] that the paper prints for the experiment, and four
-    energies that the study computes for it [J]: of hovering, of a simulated flight of the adaptive
-    controller along a smooth reference trajectory, of such a flight along a reference that jumps
-    to the goal, and of all rotors at full speed. If the study has no flight along a jump, the
-    energy of the flight along the smooth reference is repeated. Further numbers are the mean power
-    that the printed energy implies [W], and the power that the strongest of the study's batteries
-    can supply [W].
+    The template of the report's text inserts the numbers by their names.
+
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+    experiment : Experiment
+        Experiment of the paper that the numbers belong to.
+
+    Returns
+    -------
+    dict
+        Values by name:
+
+        - the energy [J] and the saving [percent] that the paper prints;
+        - the energy of hovering [J];
+        - the energy of the adaptive controller along a smooth reference trajectory [J];
+        - the energy of the adaptive controller along a reference that jumps to the goal [J], or
+          along the smooth reference if the study has no jump;
+        - the energy of all rotors at full speed [J];
+        - the mean power that the printed energy implies [W];
+        - the greatest power that any battery of the study can supply [W].
     """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
@@ -219,14 +233,21 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return the energy that the optimal flight of an experiment saves, for the report.
 
-    The energy of the optimal flight is compared with the energy of a flight under the adaptive
-    controller along a smooth reference trajectory. The comparison is made under two power models:
-    the motors' electrical power, and a model with f_r, the efficiency of motor and rotor of Yacef
-    et al. `study` has the results of the study, and `experiment` selects the experiment.
+    The optimal flight is compared with the adaptive controller's flight along a smooth reference
+    trajectory. f_r is the efficiency of motor and rotor of Yacef et al.
 
-    The result holds the table row (value by column name) of the comparison under the motors'
-    electrical power. Its further item `by_efficiency_percent` is the saving under the model with
-    f_r [percent].
+    Parameters
+    ----------
+    study : PaperStudy
+        Results of the study.
+    experiment : Experiment
+        The experiment.
+
+    Returns
+    -------
+    dict
+        Comparison under the motors' electrical power: a table row, as value by column name. The
+        further item `by_efficiency_percent` is the saving under the power model with f_r [percent].
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

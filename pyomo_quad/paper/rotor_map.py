@@ -1,10 +1,12 @@
 """Power and efficiency of one rotor, and the least energy of any flight under f_r.
 
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the
-equations of the Pyomo model. The least energy is a lower bound (floor) on the energy of every
-flight, even of a flight whose rotors alternate arbitrarily fast between speeds and accelerations
-("chattering"). The mean power of such alternations is at least the convex envelope of the power.
-The report's template `examination.md.j2` gives the derivation.
+equations of the Pyomo model.
+
+The least energy is a lower bound (floor) on the energy of every flight. The bound includes flights
+whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering"). The mean
+power of chattering rotors is at least the convex envelope of the power. The report's template
+`examination.md.j2` gives the derivation.
 """
 
 from dataclasses import dataclass
@@ -45,7 +47,7 @@ class RotorMap:
     torque, power : ndarray, shape (n, k)
         Torque [N m] and power [W] of one rotor.
     efficiency : ndarray, shape (n, k)
-        Efficiency f_r of motor and rotor of Yacef et al.; 1 if the model has no efficiency.
+        Efficiency f_r of motor and rotor of Yacef et al.; 1 if no efficiency was sampled.
     """
 
     speed: FloatArray
@@ -59,7 +61,7 @@ class RotorMap:
 def rotor_map(
     dynamics: Dynamics, speed: FloatArray, acceleration: FloatArray, efficiency: str | None
 ) -> RotorMap:
-    """Sample the power of one rotor from the model's equations.
+    """Sample thrust, torque, power and efficiency of one rotor from the model's equations.
 
     Parameters
     ----------
@@ -68,8 +70,8 @@ def rotor_map(
     speed, acceleration : ndarray
         Rotor speeds [rad/s] and accelerations [rad/s²] of the samples.
     efficiency : str or None
-        Name of the model component that holds the efficiency, such as "power.drive_efficiency";
-        None if the model has none, and the efficiency is then 1.
+        Name of the model component that holds the efficiency, such as "power.drive_efficiency".
+        With None the efficiency is 1 everywhere.
     """
     count = speed.size * acceleration.size
     states = np.zeros((count, len(dynamics.state_names)))
@@ -134,9 +136,9 @@ def chattering_floors(
     Returns
     -------
     ndarray, shape (len(bounds), 2)
-        Each row holds an upper bound on the absolute rotor acceleration [rad/s²], and the lower
-        bound on the energy [J] of flights that keep this upper bound. The energy is minus infinity
-        if f_r reaches zero at a permitted acceleration.
+        First column: upper bound on the absolute rotor acceleration [rad/s²]. Second column: lower
+        bound on the energy of any flight whose rotor acceleration keeps the upper bound [J]. The
+        energy is minus infinity if f_r reaches zero at a permitted acceleration.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -183,8 +185,8 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. If the rotors
-    may brake harder than this, the energy has no minimum.
+    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. The energy of
+    flights has no minimum if the rotors may brake harder than at the returned acceleration.
 
     Parameters
     ----------
@@ -194,8 +196,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     Returns
     -------
     bound, speed : float
-        Smallest absolute acceleration of braking at which f_r is zero [rad/s²], and the rotor speed
-        at which this happens [rad/s].
+        Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
+        speed at which f_r is then zero [rad/s].
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
@@ -210,8 +212,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
     """Return the weakest braking at which a sampled efficiency of the rotor is zero [rad/s²].
 
-    The result is a rotor acceleration, negative because the rotor brakes; it is minus infinity if
-    the efficiency is positive at all samples.
+    The result is a negative rotor acceleration, because the rotor brakes. The result is minus
+    infinity if the efficiency is positive at all samples.
 
     Parameters
     ----------
@@ -238,10 +240,10 @@ class EfficiencyMap:
     torque : ndarray, shape (k,)
         Motor torques [N m].
     efficiency : ndarray, shape (n, k)
-        Efficiency f_r, a polynomial of speed and torque. No lower limit is applied, so that values
-        may be negative.
+        Efficiency f_r, a polynomial of speed and torque without lower limit. Values may be
+        negative.
     steady_torque : ndarray, shape (n,)
-        Torque of a rotor that keeps each of the speeds [N m].
+        Motor torque that keeps the rotor at each speed [N m].
     """
 
     speed: FloatArray

@@ -48,8 +48,8 @@ class PackFacts:
     power_model : PowerModel
         Power model with which the power of hovering is computed.
     stored_energy_J : float
-        Energy that the battery stores: the integral of the open-circuit voltage over the charge,
-        from full to 1 % of the charge.
+        Energy that the battery stores: the open-circuit voltage integrated over the charge, from a
+        full battery down to 1 % of its charge.
     hover_energy_J, hover_power_W : float
         Energy of hovering for the duration of the mission, and power of hovering.
     greatest_power_W : float
@@ -72,9 +72,9 @@ class PackFacts:
 def pack_facts() -> tuple[PackFacts, ...]:
     """Compute energy and power of three battery packs, and compare them with hovering.
 
-    The packs are the single cell that Yacef et al. print, this cell in series, and the battery of
-    the vehicle's maker. Each pack is compared twice: the power of hovering is computed once from
-    the motors' electrical power, and once with the efficiency f_r of Yacef et al.
+    The packs are the single cell that Yacef et al. print, several of these cells in series, and the
+    battery of the vehicle's maker. Each pack is compared under two power models: the motors'
+    electrical power, and the power with the efficiency f_r of Yacef et al.
 
     Returns
     -------
@@ -116,7 +116,7 @@ class PaperStudy:
     """All results of the study that reproduces the experiments of Yacef et al.
 
     The experiments are a flight in calm air and a flight in wind. f_r is the efficiency of motor
-    and rotor in their paper.
+    and rotor in the paper of Yacef et al.
 
     Attributes
     ----------
@@ -131,12 +131,12 @@ class PaperStudy:
     packs : tuple of PackFacts
         Energy and power of the batteries, compared with hovering.
     floors : dict
-        For each interpretation of f_r (limited from below, or the bare polynomial), an array with
-        two columns: an upper bound on the absolute rotor acceleration [rad/s²], and the least
-        energy [J] of any flight within this bound.
+        Array for each interpretation of f_r: limited from below, or the bare polynomial. The array
+        has two columns: an upper bound on the absolute rotor acceleration [rad/s²], and the least
+        energy of any flight within the bound [J].
     critical_acceleration, critical_speed : float
         Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
-        speed at which this happens [rad/s].
+        speed at which f_r is then zero [rad/s].
     efficiency_map : EfficiencyMap
         f_r over rotor speed and torque.
     trials : tuple of TrialOutcome
@@ -173,8 +173,8 @@ def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> Pape
     is_quick : bool, optional
         Whether to use coarse meshes, and fewer of them.
     step : callable, optional
-        Function that shows the progress. It is called after each result with the name of the
-        result, the number of results so far and the number of all results.
+        Function that shows the progress, called after each result. Its arguments are the name of
+        the result, the number of results so far and the number of all results.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)

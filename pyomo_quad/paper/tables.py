@@ -1,7 +1,7 @@
 """Tables of the study of Yacef et al., with the numbers that their paper prints.
 
-Column names contain SI units. `printed.csv` holds the paper's parameters, each with the scenario
-field that it corresponds to.
+Column names contain SI units. The file `printed.csv` lists the paper's parameters and the scenario
+field of each parameter.
 """
 
 from collections.abc import Iterable
@@ -42,8 +42,8 @@ _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 def implied_wind_optimum() -> float:
     """Return the energy [J] of the optimal flight in wind, as implied by the paper's saving.
 
-    For the flight in wind, Yacef et al. print the energy under the adaptive controller and the
-    saving relative to this energy, but not the energy of the optimal flight.
+    Yacef et al. do not print this energy. They print the energy under the adaptive controller, and
+    the saving relative to the controller's energy.
     """
     return ADAPTIVE_ENERGY[2] * (1 - SAVING[2] / 100)
 
@@ -51,8 +51,8 @@ def implied_wind_optimum() -> float:
 def paper_parameters() -> pd.DataFrame:
     """Return a table of the parameters that Yacef et al. print, and of the package's own values.
 
-    Each row has a value as the paper prints it, and the value that the scenario of the experiment
-    in wind uses for the same parameter.
+    Each row holds one parameter: the value that the paper prints, and the value in the package's
+    scenario of the experiment in wind.
     """
     table = pd.read_csv(Path(__file__).with_name("printed.csv"), converters={"printed": float})
     scenario = paper_scenario(Experiment.WIND, {"battery.use": PAPER_CELL})
@@ -154,9 +154,8 @@ TABLES = {
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
     """Return every table of the report on Yacef et al., by name.
 
-    `study` holds the results of the study. The keys of the result are the names of the tables'
-    files without suffix. The dictionary `TABLES` has the same keys; its values describe the
-    contents of the tables in words.
+    `study` holds the results of the study. The name of a table is the name of its file without
+    suffix. The dictionary `TABLES` describes the content of each table in words.
     """
     rows = {
         "experiments": map(_experiment_row, study.flights),
@@ -254,13 +253,16 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row that compares a flight under the adaptive controller with the optimum.
 
-    The optimum is the plan of the same experiment under the same power model. The controlled flight
-    does not end exactly at the goal. The energy that the controlled flight still needs to the exact
-    goal state is estimated with the costates of the plan. The compared energy of the controlled
-    flight is its energy plus this estimate. The estimate is not added if the controlled flight does
-    not end near the goal and nearly at rest, or if the solve of the plan did not converge. The
-    saving is the compared energy less the energy of the plan. It is given in percent of the
-    compared energy, and in percent of the part of the compared energy above the energy of hovering.
+    The optimum is the plan of the same experiment under the same power model.
+
+    The controlled flight does not end exactly at the goal. The costates of the plan give an
+    estimate of the energy that is still needed to reach the exact goal state. The compared energy
+    is the energy of the controlled flight plus the estimate. The estimate is added only if the
+    controlled flight ends near the goal and nearly at rest, and the solve of the plan converged.
+
+    The saving is the compared energy less the energy of the plan. One column gives the saving in
+    percent of the compared energy. Another column gives the saving in percent of the excess: the
+    compared energy less the energy of hovering.
 
     Parameters
     ----------

@@ -1,10 +1,11 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
-Each point is a trim: the equations of the scenario's model are solved for the attitude and the
-rotor speeds that keep the vehicle in level flight at the point's airspeed; the equations then give
-the power P. In a wind, the velocity through the air is the velocity over ground minus the wind. At
-ground speed g, the energy per metre over ground is P / g. With a price of time c (the value of a
-second of flight, in W), the cost per metre is (P + c) / g.
+Each point of the polar is a trim: the attitude and the rotor speeds that keep the vehicle in level
+flight at one airspeed. The equations of the scenario's model give the trim and its power P.
+
+In a wind, the velocity through the air is the velocity over ground minus the wind. At ground speed
+g, the energy per metre over ground is P / g. A second of flight may have a price c [W]. The cost
+per metre is then (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence
@@ -67,14 +68,15 @@ class SteadyCurve:
     def power(self, airspeed: FloatArray | float) -> FloatArray:
         """Return the power [W] of level flight at one or more airspeeds [m/s], by interpolation.
 
-        It is infinite above the greatest airspeed that the vehicle can fly.
+        The power is infinite above the greatest airspeed that the vehicle can fly.
         """
         return self._between(self.powers, airspeed, np.inf)
 
     def endurance(self, airspeed: FloatArray | float) -> FloatArray:
         """Return the flight time [s] on one battery charge at one or more airspeeds [m/s].
 
-        The value is interpolated. It is zero above the greatest airspeed that the vehicle can fly.
+        The flight time is interpolated, and zero above the greatest airspeed that the vehicle can
+        fly.
         """
         return self._between(self.endurances, airspeed, 0.0)
 
@@ -95,7 +97,7 @@ class SteadyCurve:
     ) -> "GroundSpeed":
         """Return the ground speed with the least energy per metre on a course in a wind.
 
-        With a price of time, the energy per metre includes the price of the flight time.
+        If a second of flight has a price, the price of the flight time is added to the energy.
 
         Parameters
         ----------
@@ -110,7 +112,8 @@ class SteadyCurve:
         Returns
         -------
         GroundSpeed
-            The best ground speed, with airspeed, power and endurance.
+            The best ground speed, with airspeed, power and endurance. The ground speed is zero if
+            the wind is too strong for the course.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -136,8 +139,8 @@ class SteadyCurve:
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
     """Return the argument at which a cost function of one variable, such as a speed, is least.
 
-    `cost` is the function, and `trials` are arguments in ascending order. The best of them is
-    refined by a bounded search between its two neighbours.
+    `trials` are arguments of the function in ascending order. A bounded search between the two
+    neighbours of the best trial refines the best trial.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
@@ -156,9 +159,9 @@ class GroundSpeed:
     ground_speed : float
         Speed over the ground [m/s]; zero if the wind is too strong for the course.
     airspeed : float
-        Speed through the air [m/s].
+        Speed through the air [m/s]; NaN at zero ground speed.
     power : float
-        Power [W].
+        Power [W]; NaN at zero ground speed.
     endurance : float
         Flight time [s], from a full battery to the least state of charge that the scenario allows.
     """
@@ -175,7 +178,7 @@ class GroundSpeed:
 
     @property
     def range_m(self) -> float:
-        """Distance over the ground that is flown within the endurance [m]."""
+        """Distance over the ground on one battery charge [m]: ground speed times flight time."""
         return self.ground_speed * self.endurance
 
 
@@ -192,10 +195,10 @@ class Polar:
     winds : DataFrame
         Best ground speed for each wind speed and each angle between course and wind.
     reach : DataFrame
-        For each course, the greatest distance from the start from which the vehicle returns on the
-        same battery charge, in the scenario's mean wind.
+        Row for each course: the greatest distance at which the vehicle can turn back and still
+        reach the start on the same battery charge. The wind is the scenario's mean wind.
     wind_m_s, wind_towards_rad : float
-        Speed of the mean wind, and direction to which it blows.
+        Speed of the mean wind, and direction to which the wind blows.
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
@@ -256,9 +259,9 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
-    """Compute power and endurance of level flight at ascending airspeeds in equal steps, from 0.
+    """Compute power and endurance of level flight at airspeeds in equal steps from 0.
 
-    The last airspeed is the greatest at which neither rotors nor tilt exceed a limit.
+    The last airspeed is the greatest at which rotors and tilt keep their limits.
 
     Parameters
     ----------
@@ -331,7 +334,7 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
     """Return, for each course, the greatest distance from which the vehicle returns to the start.
 
-    Way out and way back together use the charge from the full battery to the least state of charge
+    The way out and the way back share one battery charge, used down to the least state of charge
     that the scenario allows.
 
     Parameters

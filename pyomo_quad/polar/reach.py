@@ -1,16 +1,16 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
-The flight is straight and level, at the height of the start and at the ground speed of least energy
-per metre in the local wind. Over terrain the vehicle climbs where its height above the ground ahead
-would fall below the floor of the airspace (the least height above ground). It does not descend on
-the way out, and returns at the same heights. A climb takes charge but brings no progress.
+The flight is straight and level at the height of the start. Its ground speed is the speed of least
+energy per metre in the local wind. Over terrain the vehicle climbs where needed to keep the floor
+of the airspace, the least height above ground. The vehicle does not descend on the way out, and
+returns at the heights of the way out. A climb takes charge but brings no progress.
 
-Each metre uses the fraction 1 / range of the usable battery charge, which is the charge from the
-full battery to the least state of charge that the scenario allows. Range is the distance [m] that
-the vehicle flies on the usable charge in the local wind. The boundary of the reach on a course is
-where the sum of these fractions is 1. The sum is taken over the way out and, if the vehicle
-returns, also over the way back. The boundary does not extend beyond the terrain or the wind field.
-Keep-out zones are ignored.
+The usable battery charge is the charge from the full battery to the least state of charge that the
+scenario allows. The range is the distance [m] that the vehicle flies on the usable charge in the
+local wind. Each metre of flight takes the fraction 1 / range of the usable charge. On each course,
+the boundary of the reach is where these fractions add up to 1. The sum includes climbs, and also
+the way back if the vehicle returns. The boundary does not extend beyond the terrain or the wind
+field. Keep-out zones are ignored.
 """
 
 import json
@@ -63,8 +63,9 @@ class Reach:
     has_return : bool
         Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
-        One row for each course: course [deg from x, counter-clockwise], distance and position [m],
-        and whether the wind field or the terrain ends before the battery is empty.
+        One row for each course: course [deg from x, counter-clockwise], and distance and position
+        of the boundary [m]. A further column tells whether the wind field or the terrain ends
+        before the usable charge does.
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
@@ -117,12 +118,12 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 
 
 def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> FloatArray:
-    """Return the least heights of flights that clear the ground and never descend, for each course.
+    """Return the least heights at which the vehicle clears the ground without ever descending.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario with start, terrain and, as floor of the airspace, the least height above ground.
+        Scenario with start, terrain, and floor of the airspace (the least height above ground).
     along : ndarray, shape (n_steps,)
         Distances from the start, in equal steps [m].
     headings : ndarray, shape (n_courses, 3)
@@ -131,8 +132,8 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
     Returns
     -------
     ndarray, shape (n_courses, n_steps)
-        Heights z [m] at each distance. They are at least the height of the start, and above the
-        ground by at least the floor of the airspace.
+        Height z at each distance on each course [m]. No height is below the start, or closer to the
+        ground than the floor of the airspace permits.
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
     found = np.full((len(headings), along.size), start[2])
@@ -146,9 +147,10 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
 
 
 def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.bool_]:
-    """Return whether each place lies over the terrain; True for all places if there is no terrain.
+    """Return whether each place lies over the terrain of the scenario.
 
-    `places` holds positions [m], shape (..., 3).
+    `places` holds positions [m], shape (..., 3). All results are True if the scenario has no
+    terrain.
     """
     within, ground = np.ones(places.shape[:-1], dtype=bool), scenario.airspace.ground
     for axis, side, end in () if ground is None else ground.edges.values():
@@ -167,14 +169,13 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
     ----------
     scenario : Scenario
         Scenario with the least state of charge. Its table `mission.return_flight`, the settings of
-        a return flight, also states the rate of climb over terrain. If the table states the battery
-        current of the climb too, this current is used. Otherwise the function `climb_current`
-        computes the current, as the greater of those of a climb at zero airspeed and at the
-        airspeed of `curve` with the least energy per metre.
+        a return flight, states the rate of climb. The table may also state the battery current of
+        the climb. Otherwise the function `climb_current` computes the current.
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve
-        Power and endurance over airspeed in calm air.
+        Power and endurance over airspeed in calm air. The computed current also depends on its
+        airspeed of least energy per metre.
     """
     if scenario.airspace.ground is None:
         return 0.0
@@ -203,7 +204,7 @@ def _shares(
     courses : ndarray, shape (n_courses, 1)
         Courses from x, counter-clockwise [rad].
     has_return : bool
-        Whether each metre is also flown back; the fraction then includes the way back.
+        Whether the fraction includes the flight back over the metre.
 
     Returns
     -------
@@ -230,15 +231,15 @@ def _share_per_metre(
     curve : SteadyCurve
         Power and endurance over airspeed.
     winds : ndarray
-        All wind speeds for which the function will be called [m/s]. Only their least and greatest
-        value matter: the function interpolates in a table of wind speeds between these two.
+        Wind speeds for which the function will be called [m/s]. Only the least and the greatest
+        wind speed matter: the function interpolates in a table between these two.
 
     Returns
     -------
     callable
-        Function of the wind speed [m/s] and of the angle between course and wind direction [rad].
-        It gives the fraction per metre over ground [1/m], infinite where the wind is too strong for
-        the course.
+        Function that gives the fraction per metre [1/m]; infinite where the wind is too strong for
+        the course. Its arguments are arrays: the wind speed [m/s], and the angle between course and
+        wind direction [rad].
     """
     low, high = float(winds.min()), float(winds.max())
     count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)
@@ -268,9 +269,9 @@ def _boundary_on(
 ) -> dict[str, Any]:
     """Return how far the vehicle flies on one course from the start.
 
-    The flight over the resulting distance takes the usable charge: the charge from the full battery
-    to the least state of charge that the scenario allows. If `share` includes the way back, so does
-    this flight. The distance is shorter if wind or ground are not known so far from the start.
+    The vehicle flies until the usable battery charge is spent: the charge from the full battery to
+    the least state of charge that the scenario allows. If `share` includes the way back, the charge
+    also suffices for the way back. The distance ends earlier where wind or ground are not known.
 
     Parameters
     ----------
@@ -279,11 +280,9 @@ def _boundary_on(
     along : ndarray, shape (n_steps,)
         Distances from the start [m].
     share : ndarray, shape (n_steps,)
-        Fraction of the usable battery charge that one metre of level flight takes at each distance
-        [1/m].
+        Fraction of the usable charge for one metre of level flight at each distance [1/m].
     climbed : ndarray, shape (n_steps,)
-        Fraction of the usable battery charge that all climbs from the start up to each distance
-        take.
+        Fraction of the usable charge for all climbs from the start up to each distance.
     is_known : ndarray of bool, shape (n_steps,)
         Whether wind and ground are known at each distance.
     start : ndarray, shape (3,)
@@ -293,7 +292,7 @@ def _boundary_on(
     -------
     dict
         Row of the table `Reach.boundary`: course [deg], distance [m], x and y of the place at this
-        distance [m], and whether the distance is shorter because wind or ground are not known.
+        distance [m], and whether the distance ends where wind or ground are not known.
     """
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])
@@ -313,7 +312,7 @@ def _boundary_on(
 def boundary_geojson(reach: Reach) -> dict[str, Any] | None:
     """Return the boundary of the places within reach as a GeoJSON polygon.
 
-    None if the scenario gives no `mission.origin`, the position of x = y = 0 on earth.
+    The result is None if the scenario has no `mission.origin`, the position of x = y = 0 on earth.
     """
     origin = reach.scenario.mission.origin
     if origin is None:
@@ -374,8 +373,9 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> d
 def reach_summary(reach: Reach) -> dict[str, Any]:
     """Return the main results on a vehicle's reach as a dictionary for `summary.json`.
 
-    They are the least and the greatest distance within reach over all courses [m], the fraction of
-    the battery's capacity that is used, and whether the wind field or the terrain limits the reach.
+    The results are the least and the greatest reach over all courses [m], and the fraction of the
+    battery's capacity that is used. A further result tells whether the wind field or the terrain
+    limits the reach.
     """
     return {
         "scenario": reach.scenario.name,

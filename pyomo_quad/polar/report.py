@@ -73,8 +73,9 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the main results of a polar as a dictionary for `summary.json`.
 
-    They are the best speeds, powers, range and endurance with the scenario's own payload, and the
-    least and the greatest distance from which the vehicle returns on the same battery charge.
+    The results hold the best speeds, powers, range and endurance with the scenario's own payload.
+    They also hold the least and the greatest distance, over all courses, from which the vehicle
+    returns on the same battery charge.
     """
     facts = _facts(polar.own)
     best = facts.pop("best")

@@ -71,9 +71,9 @@ def write_campaign(
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Return the results of a campaign as a dictionary for `summary.json`.
 
-    A campaign repeats missions on one or more battery charges. The dictionary holds the number of
-    flights on each charge, the reason why no further flight was possible, the total duration [s]
-    and energy [J], and the complete scenarios of the missions.
+    A campaign repeats missions on one or more battery charges. For each charge, the dictionary
+    holds the number of flights and the reason why no further flight was possible. The dictionary
+    also holds the total duration [s] and energy [J], and the complete scenarios of the missions.
     """
     plans = [flight.plan for flight in campaign.flights]
     return {
@@ -92,7 +92,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 def campaign_words(campaign: Campaign) -> list[str]:
     """Return one sentence for each battery charge of a campaign of repeated missions.
 
-    The sentence gives the number of flights on the charge, their total time and energy, and the
+    The sentence gives the number, total time and total energy of the flights on the charge, and the
     reason why no further flight was possible.
 
     Parameters
@@ -119,7 +119,8 @@ def draw_campaign(campaign: Campaign) -> Figure:
 
     A campaign repeats missions on one or more battery charges. The state of charge is drawn at the
     start and at the end of each flight. Each battery charge has its own line. Dashed lines mark the
-    lowest permitted state of charge and, if the mission limits it, the lowest permitted voltage.
+    lowest permitted state of charge and the lowest permitted voltage, if the mission has such a
+    limit.
 
     Parameters
     ----------

@@ -37,7 +37,7 @@ class Drawing:
     draw : callable
         Function without arguments that draws and returns the matplotlib Figure.
     needs : tuple of str
-        Columns of a flight's table that the figure shows; the figure is left out if one is missing.
+        Columns of a flight's table that the figure shows. Without them the figure is left out.
     formats : tuple of str
         File endings in which the figure is written.
     """
@@ -97,7 +97,7 @@ def write_study(
     summary : mapping, optional
         Content of `summary.json`; without it no such file is written.
     drawings : iterable of Drawing, optional
-        The figures, in the order of the report; not iterated if no figures are requested.
+        The figures, in the order of the report. The iterable is not used for `Figures.NONE`.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     name : str, optional

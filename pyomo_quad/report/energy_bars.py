@@ -33,9 +33,9 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
     """Draw two bar charts of flights: the total energies, and the energies above hovering.
 
     The left panel shows the total energy of each flight and, in grey, the energy of hovering for
-    the same time. The right panel shows the energy above hovering (energy of the flight less energy
-    of hovering) on a larger scale. If the durations of the flights differ, the right panel instead
-    shows the energy of each flight less the energy of the first flight.
+    the same time. The right panel shows, on a larger scale, the energy above hovering: the energy
+    of the flight less the energy of hovering. If the durations of the flights differ, the right
+    panel shows the energy of each flight less the energy of the first flight.
 
     Parameters
     ----------
@@ -75,12 +75,13 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     """Draw the energy of each flight as a bar, in one panel for each scenario.
 
-    All panels have the same energy scale. If the flights of each scenario have equal durations, the
-    bars show the energy above hovering: the energy of the flight less the energy of hovering for
-    the same time. Otherwise the bars show the total energy, because energies above hovering cannot
-    be compared between flights of different durations. The energy of a
-    flight that ends near the goal includes an estimate of the energy to the exact goal state. The
-    bars of flights that did not reach the goal are pale.
+    The bars show the energy above hovering: the energy of the flight less the energy of hovering
+    for the same time. If the flights of a scenario differ in duration, their energies above
+    hovering cannot be compared. All bars then show the total energy.
+
+    All panels have the same energy scale. The energy of a flight that ends near the goal includes
+    an estimate of the energy to the exact goal state. The bars of flights that did not reach the
+    goal are pale.
 
     Parameters
     ----------

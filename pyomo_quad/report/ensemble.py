@@ -52,8 +52,8 @@ def write_ensemble(
     flown : Ensemble
         Flights of one mission, each in its own random wind.
     savings : sequence of Saving, optional
-        Energy savings of these flights compared with other flights in the same winds, such as the
-        flights of an autopilot. Each item also holds these other flights.
+        Energy savings of the flights compared with rival flights in the same winds, such as flights
+        of an autopilot. Each item also holds the rival flights.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
 
@@ -88,11 +88,11 @@ def ensemble_drawings(
     flown : Ensemble
         Flights of one mission, each in its own random wind.
     savings : sequence of Saving
-        Energy savings compared with other flights in the same winds. The figure of the energies
-        also shows these other flights.
+        Energy savings compared with rival flights in the same winds. The figure of the energies
+        also shows the rival flights.
     margin : float, optional
         Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
-        scenario's clearance. It is drawn on both sides of the planned path; 0 for no margin.
+        scenario's clearance. The margin is drawn on both sides of the planned path; 0 for none.
     """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
@@ -108,9 +108,9 @@ def ensemble_drawings(
 
 
 def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
-    """Draw the paths of some flights of an ensemble, and the path that all of them follow.
+    """Draw the paths of some flights of an ensemble, and the path that all flights should follow.
 
-    One panel shows the paths from above, one from the front.
+    One panel shows the paths from above, the other panel from the front.
 
     Parameters
     ----------
@@ -118,7 +118,7 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
         Flights of one mission, each in its own random wind.
     margin : float, optional
         Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
-        scenario's clearance. It is drawn on both sides of the path to follow; 0 for no margin.
+        scenario's clearance. The margin is drawn on both sides of the path to follow; 0 for none.
     """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
@@ -147,9 +147,9 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
 
 
 def _beside(path: FloatArray, off: float) -> FloatArray:
-    """Shift a path in a plane, shape (n, 2), to its left by the distance `off`.
+    """Shift a path in a plane, shape (n, 2) [m], to its left by the distance `off` [m].
 
-    `draw_many_paths` draws the shifted path to show a safety margin beside the path to follow.
+    The shifted path shows the edge of a safety margin beside the path.
     """
     along = np.gradient(path, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
@@ -164,8 +164,8 @@ def draw_energies(flown: Ensemble, savings: Sequence[Saving]) -> Figure:
     flown : Ensemble
         Flights of one mission, each in its own random wind.
     savings : sequence of Saving
-        Energy savings compared with other flights in the same winds. Each item holds these other
-        flights (`Saving.rival`), whose energies are drawn as a further histogram.
+        Energy savings compared with rival flights in the same winds. The energies of the rival
+        flights (`Saving.rival`) of each item are drawn as a further histogram.
     """
     kinds = [flown, *(saving.rival for saving in savings)]
     figure, ((axes,),) = panel_grid(
@@ -194,8 +194,8 @@ _PANELS = (
 def draw_bands(flown: Ensemble) -> Figure:
     """Draw four quantities of an ensemble of flights over time: the median, and a 90 % band.
 
-    The band lies between the 5 % and 95 % quantiles over the flights. The quantities are distance
-    from the reference path, speed, tilt and energy.
+    The band lies between the 5 % and 95 % quantiles of the flights. The quantities are the distance
+    from the reference path, the speed, the tilt and the energy.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def draw_adaptation(study: pd.DataFrame) -> Figure:
     """Draw the effect of the controller's adaptation to the wind, in three panels.
 
     Left: distance of the vehicle from the reference path, with and without adaptation. Middle and
-    right: disturbance acceleration along x and y, true and as the controller estimates it.
+    right: acceleration by the wind along x and y, the true value and the controller's estimate.
 
     Parameters
     ----------
@@ -119,8 +119,8 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    Relaxation voltage (the slow part of the voltage drop) and temperature of the battery are each
-    drawn too, if the tables of all flights have the column.
+    Further panels show the relaxation voltage (slow part of the voltage drop) and the temperature
+    of the battery. A further panel is drawn only if the tables of all flights have its column.
 
     Parameters
     ----------
@@ -201,8 +201,8 @@ def draw_costates(costates: pd.DataFrame, duration: float) -> Figure:
     Parameters
     ----------
     costates : DataFrame
-        Costate of each state and Hamiltonian of the plan, indexed by time in s. The tuple
-        `COSTATES` lists the names of the columns that are needed.
+        Costate of each state, and Hamiltonian of the plan, indexed by time in s. The tuple
+        `COSTATES` lists the required columns.
     duration : float
         Duration of the flight in s, where the time axes end.
     """
@@ -237,8 +237,8 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw power, energy, and energy above hovering of flights over time, in three panels.
 
-    The energy above hovering at a time is the energy that the flight has used until then, less the
-    energy of hovering for the same time.
+    Energy above hovering is the energy that a flight has used until a time, less the energy of
+    hovering until that time.
 
     Parameters
     ----------
@@ -263,8 +263,8 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
     """Draw the energy above hovering of flights over time in a panel.
 
-    The energy above hovering at a time is the energy that the flight has used until then, less the
-    energy of hovering for the same time.
+    Energy above hovering is the energy that a flight has used until a time, less the energy of
+    hovering until that time.
 
     Parameters
     ----------
@@ -286,8 +286,8 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose short peaks of power are cut off in a panel of power over time.
 
-    The vertical axis of the panel does not extend to short peaks, if the peaks would flatten all
-    curves. The result is empty if the axis shows all powers.
+    Peaks are cut off if they would make the vertical axis so long that all curves look flat. The
+    result is empty if no peak is cut off.
 
     Parameters
     ----------
@@ -309,10 +309,10 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose curve of energy above hovering lies on the first flight's curve.
+    """Return the flights whose curve of energy above hovering is hidden by the plan's curve.
 
-    Energy above hovering is the energy used until a time, less the energy of hovering until then.
-    The figure's caption names these flights, because their curves cannot be distinguished.
+    Energy above hovering is the energy that a flight has used until a time, less the energy of
+    hovering until that time. The caption of the figure names the hidden flights.
 
     Parameters
     ----------
@@ -336,11 +336,11 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return the range of the vertical axis for the power of flights over time, without peaks [W].
+    """Return the least and the greatest power [W] of a panel's vertical axis, without short peaks.
 
-    `flights` are the flights of the panel; the first is the plan. Short peaks of flights other than
-    the plan are excluded if they would flatten all curves. The result is the least and the greatest
-    power of the axis, or None if the axis can show all powers.
+    `flights` are the flights whose power the panel shows over time; the first is the plan. Peaks of
+    the other flights are excluded if they would make the axis so long that all curves look flat.
+    The result is None if no peak is excluded.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -356,11 +356,10 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Limit a panel's power axis so that short peaks of the power lie beyond it.
+    """Cut off short peaks in a panel of power over time, and say so in the panel's title.
 
-    `axes` is the panel, in which the power of `flights` is drawn over time; the first flight is the
-    plan. The axis is limited only if the peaks would flatten all curves. The title then says that
-    peaks are cut off.
+    `axes` is the panel. `flights` are the flights that it shows; the first is the plan. The panel
+    stays unchanged if the peaks are not much higher than the rest of the curves.
     """
     window = _power_window(flights)
     if window is not None:
@@ -458,7 +457,7 @@ _LEG_ROW = 0.2  # inches
 
 
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
-    """Draw the speed of flights over path length, and the plan's energy between waypoints.
+    """Draw the speed of flights over path length, and the plan's energy from waypoint to waypoint.
 
     Parameters
     ----------
@@ -506,8 +505,8 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 def draw_front(front: pd.DataFrame) -> Figure:
     """Draw the energy-time front of a mission: least energy against duration.
 
-    Each point is an optimal flight for one price of time: the energy that one second less of
-    flight is worth [J/s = W]. A star marks the plan.
+    Each point is an optimal flight for one price of time [W]: the energy that may be spent to
+    shorten the flight by one second. A star marks the plan.
 
     Parameters
     ----------
@@ -536,8 +535,7 @@ def draw_front(front: pd.DataFrame) -> Figure:
 def draw_rotors(flight: StyledFlight) -> Figure:
     """Draw speed, torque, current and voltage of a flight's motors over time.
 
-    There is one panel for each of these four quantities; each panel has a curve for each of the
-    four motors.
+    Each of the four quantities has a panel, with one curve for each motor.
 
     Parameters
     ----------
@@ -604,7 +602,7 @@ def draw_wind(planned: StyledFlight, flown: StyledFlight | None = None) -> Figur
     Parameters
     ----------
     planned : StyledFlight
-        The plan, whose table has the wind that it was planned for.
+        The plan. Its table has the wind that the plan was made for.
     flown : StyledFlight, optional
         A flight in the true wind, if the plan was made for a forecast of another wind.
     """

@@ -1,7 +1,7 @@
 """Output folders and files that appear complete, or not at all if the program is interrupted.
 
-Output is written under a temporary name in the same folder and renamed at the end. A folder or file
-that this package did not write is never replaced.
+Output is written under a temporary name beside the final path, and renamed at the end. A folder or
+file that this package did not write is never replaced.
 """
 
 import errno
@@ -77,18 +77,17 @@ _MARKED_WITHIN_BYTES = 65_536
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Context manager: write an output file that appears complete or not at all.
 
-    The ``with`` block writes to a temporary file, which replaces the final file when the block
-    ends. If the final path is a character device or a FIFO, such as ``/dev/stdout``, the bytes are
-    copied to this device instead.
+    The ``with`` block writes to a temporary file. When the block ends, the temporary file replaces
+    the final file. If the final path is a character device or a FIFO, such as ``/dev/stdout``, the
+    content is copied to the device or FIFO.
 
     Parameters
     ----------
     path : str or Path
         Final file.
     mark : str, optional
-        Text by which files that this package wrote are recognised; the caller must write it into
-        the new file. An existing regular file is replaced only if it contains this text or is
-        empty.
+        Text that marks files of this package. The caller must write the text into the new file. An
+        existing regular file is replaced only if it contains the text or is empty.
 
     Yields
     ------
@@ -98,8 +97,7 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the file cannot be written, or the existing file was written by another program or a
-        person.
+        If the file cannot be written, or the existing file is not empty and not of this package.
     """
     final = final_folder(path)
     try:
@@ -157,10 +155,10 @@ def _is_marked(file: Path, mark: str) -> bool:
 
 
 def refuse_output_folder(path: str | Path) -> None:
-    """Raise an error, without writing anything, if a folder cannot be used for an output.
+    """Raise an error if a folder cannot be used for an output; write nothing.
 
-    The context manager `output_folder`, which writes the output later, refuses such a folder too. A
-    command calls this function before a long solve, so that a wrong folder is reported early.
+    A command calls this function before a long solve, so that a wrong folder is reported early.
+    Later `output_folder` checks the folder again and writes the output.
 
     Parameters
     ----------
@@ -202,8 +200,8 @@ def _discard(begun: Path) -> None:
 def _until_finished(begun: Path) -> Iterator[None]:
     """Context manager: remove the temporary file or folder `begun` after the ``with`` block.
 
-    A caller renames a completed output inside the block, so that the output itself is kept. If the
-    process is terminated inside the block, `discard_unfinished` removes `begun`.
+    To keep the output, the caller renames it inside the block. `discard_unfinished` removes `begun`
+    if the process is terminated inside the block.
     """
     _unfinished.add(begun)
     try:
@@ -274,11 +272,10 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Finish the replacement of an old output folder by a new one.
 
-    The run that wrote the new folder has first renamed this complete folder to a hidden name that
-    contains "ready", beside the final folder. This function renames the old folder to `aside`,
-    then the new folder to `final`. If a run is killed between these two renamings, no final folder
-    exists, and the next run renames the new folder to `final`. Nothing is done if the hidden folder
-    does not exist, or if no run of this package made the hidden folder.
+    The new folder is complete. It has a hidden name that contains "ready", beside the final folder.
+    This function renames the old folder to `aside`, then the new folder to `final`. A run may be
+    killed between the two renamings. The next run then calls this function again and finishes the
+    replacement. Nothing is done without a hidden folder that a run of this package made.
 
     Parameters
     ----------
@@ -314,9 +311,8 @@ def _remove_leftovers(final: Path) -> None:
 def _is_of_a_run(folder: Path) -> bool:
     """Return whether a run of this package made a folder: the folder then contains a manifest.
 
-    A manifest is the hidden file in which a run lists its output files. The check prevents that a
-    user's own folder, whose name happens to be a temporary name of this module, is moved or
-    deleted.
+    A manifest is the hidden file in which a run lists its output files. A user's own folder may
+    happen to have a temporary name of this module. This check keeps it from being moved or deleted.
     """
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
@@ -340,9 +336,8 @@ def _remove(folder: Path) -> None:
 def _files(folder: Path) -> Iterator[str]:
     """Yield the relative names of all files in a folder, including links to folders.
 
-    The manifest of an output folder, a list of its files, is made from these names. Later the names
-    are compared with the manifest to find files that this package did not write. Raises OSError if
-    the folder cannot be read.
+    The names become the manifest of a new output folder. Later they are compared with the manifest,
+    to find files that this package did not write. Raises OSError if the folder cannot be read.
     """
 
     def fail(error: OSError) -> NoReturn:

@@ -1,7 +1,7 @@
 """Lists of the figures in each kind of report, in order and with captions.
 
-A `Drawing` holds a figure's caption and the function that draws it. The sequence of flights that
-the functions receive begins with the plan.
+A `Drawing` holds a figure's caption and drawing function. In each sequence of flights, the first
+flight is the plan.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -87,9 +87,9 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    A figure is left out if the plan's table lacks a column that the figure shows: the Pyomo model
-    of a user may have no such variable. A figure is also left out if the column has values that are
-    not finite, as after a failed solve. The figure of the wind is left out in calm air.
+    A figure is left out if the plan's table lacks a column of the figure, because a user's own
+    Pyomo model may have no such variable. A figure is also left out if the column has values that
+    are not finite, as after a failed solve. The figure of the wind is left out in calm air.
 
     Parameters
     ----------
@@ -171,11 +171,11 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The map and the power over time show the plan and its rival, the flight against which the
-    printed energy saving is computed. The energy bars show the plan and the flights that reached
-    the goal and kept all limits, because only the energies of such flights can be compared. The
-    result is empty if the plan's table has no positions, because the plan was made with a user's
-    Pyomo model without positions.
+    The map and the power over time show the plan and its rival. The rival is the flight with which
+    the plan is compared to compute the printed energy saving. The energy bars show the plan and the
+    flights that reached the goal and kept all limits, because only their energies can be compared.
+    The result is empty if the plan's table has no positions: a user's own Pyomo model may have
+    none.
 
     Parameters
     ----------
@@ -224,8 +224,8 @@ def comparison_drawings(
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights without a bar in the chart of energies.
 
-    The flights `compared`, which reached the goal and broke no limit, have a bar. The sentence
-    names the other flights in `flights`; it is empty if all flights have a bar.
+    The flights `compared` reached the goal and kept all limits, and therefore have a bar. The
+    sentence names the rest of `flights`. The sentence is empty if all flights have a bar.
     """
     rest = [flight for flight in flights if flight not in compared]
     return _naming("Without a bar, because they missed the goal or broke a limit", rest)
@@ -254,9 +254,9 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
     Parameters
     ----------
     front : DataFrame
-        One row for each price of time (the energy that one second less of flight is worth, in W):
-        price, duration and energy of the optimal flight, and whether this flight is the plan. The
-        enumeration `FrontColumn` names these columns.
+        One row for each price of time [W], the energy that may be spent to shorten the flight by
+        one second. The columns are price, duration and energy of the optimal flight, and whether
+        this flight is the plan. The enumeration `FrontColumn` names the columns.
     """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
@@ -273,8 +273,8 @@ def drawings_of_solve(plan: "Plan") -> tuple[Drawing, ...]:
 def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
     """List the figures in the report of a run: a plan with the flights it is compared with.
 
-    First come the comparison of the flights, the controller's adaptation, the energy-time front and
-    the flights in turbulence, as far as the run has them; then the figures of the plan.
+    The order is: comparison of the flights, controller's adaptation, energy-time front, flights in
+    turbulence, and figures of the plan. Figures of results that the run does not have are left out.
     """
     flights = _styled(result)
     return (
@@ -330,10 +330,10 @@ def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[s
     Returns
     -------
     views : dict
-        HTML of the player, by the name of the figure above which the player is shown; empty if the
-        report has no figure of the paths.
+        HTML of the player, by the name of the figure of the paths. The player is shown above this
+        figure. Empty if the report has no figure of the paths.
     data : str
-        The flights as JSON, for the player; empty if the report has no figure of the paths.
+        The flights as JSON, for the player. Empty if the report has no figure of the paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -370,8 +370,8 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 def _course(mission: "Scenario") -> str:
     """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths.
 
-    `mission` is the scenario of the map. The sentences omit waypoints, zones, floor or ceiling if
-    the scenario has none. The sentences also name the zones' clearance and the terrain, if any.
+    `mission` is the scenario of the map. The sentences also mention the clearance of the zones and
+    the terrain. Anything that the scenario does not have is omitted.
     """
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
@@ -499,11 +499,11 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
-    """Return a warning for the caption of energy curves if the durations of the flights differ.
+    """Return a caption's warning if the flights of an energy figure have different durations.
 
-    `flights` are the flights of the figure. The energy above hovering is the energy of a flight
-    less the energy of hovering for the same time. Energies above hovering cannot be compared
-    between flights of different durations. The text is empty if the durations are equal.
+    The warning says that the flights' energies above hovering cannot be compared. The energy above
+    hovering is the energy of a flight less the energy of hovering for the same time. `flights` are
+    the flights of the figure. The text is empty if the durations are equal.
     """
     if have_equal_durations(flights):
         return ""
@@ -517,8 +517,7 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
     """Return a caption's sentence on short power peaks that are cut off in a figure.
 
     `flights` are the flights whose power the figure shows over time; the first is the plan. The
-    sentence names the flights with such peaks. The sentence is empty if the figure shows all
-    powers.
+    sentence names the flights with peaks that are cut off. It is empty if no peak is cut off.
     """
     if POWER.name not in flights[0].frame:
         return ""
@@ -533,10 +532,10 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    The curves show the energy above hovering over time: the energy that a flight has used until a
-    time, less the energy of hovering until then. `flights` are the flights of the figure,
-    the first of which is the plan, and `hover_energy_J` is the energy of hovering for the duration
-    of the plan. The sentence is empty if all curves can be distinguished.
+    The curves show the energy that a flight has used until a time, less the energy of hovering
+    until that time. `flights` are the flights of the figure; the first is the plan.
+    `hover_energy_J` is the energy of hovering for the duration of the plan. The sentence is empty
+    if all curves can be distinguished.
     """
     if ENERGY.name not in flights[0].frame:
         return ""
@@ -549,9 +548,9 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
     A flight can use less energy than hovering for the same time, for example in descent or in
     forward flight. The flight's bar then ends inside the grey bar of the hover energy. `flights`
-    are the flights of the chart, the first of which is the plan, and `hover_energy_J` is the energy
-    of hovering for the duration of the plan. The sentence is empty if no flight uses less energy
-    than hovering.
+    are the flights of the chart; the first is the plan. `hover_energy_J` is the energy of hovering
+    for the duration of the plan. The sentence is empty if every flight uses more energy than
+    hovering.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
@@ -561,7 +560,8 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights missing from a figure.
 
-    `drawn` are the flights that the figure shows. The sentence is empty if it shows all `flights`.
+    `drawn` are the flights that the figure shows. The sentence names the rest of `flights`. The
+    sentence is empty if no flight is missing.
     """
     return _naming("Not drawn", [flight for flight in flights if flight not in drawn])
 
@@ -583,11 +583,10 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 
 
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
-    """Return a sentence for a figure's caption; the sentence ends with the names of `flights`.
+    """Return a sentence for a figure's caption that ends with the names of `flights`.
 
-    An example is " Not drawn: A and B.": here `words`, the beginning of the sentence, is
-    "Not drawn", and `sign`, the punctuation before the names, is ":". The result is empty if
-    `flights` is empty.
+    `words` is the beginning of the sentence, and `sign` the punctuation before the names. With
+    "Not drawn" and ":", the sentence is " Not drawn: A and B." The result is empty without flights.
     """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 

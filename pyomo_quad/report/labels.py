@@ -23,11 +23,18 @@ _HALO = withStroke(linewidth=1.6, foreground="white")
 
 @dataclass(frozen=True, kw_only=True)
 class Label:
-    """Text label for a point of a figure; x and y are the point's data coordinates.
+    """Text label for a point of a figure. The function `write_labels` places it beside the point.
 
-    `color` is the colour of the text. The function `write_labels` places the label beside the
-    point. If `is_centred`, the label may also be placed on the point, like the name of a zone in
-    the middle of the zone.
+    Attributes
+    ----------
+    text : str
+        Text of the label.
+    x, y : float
+        Data coordinates of the point.
+    color : str
+        Colour of the text.
+    is_centred : bool
+        Whether the label may also be placed on the point, like a zone's name inside the zone.
     """
 
     text: str
@@ -40,9 +47,8 @@ class Label:
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
     """Print labels into a panel, each beside its point where it covers the least.
 
-    For each label in turn, ten places around its point are compared. The chosen place covers no
-    other label and no other label's point if possible, and as few points of curves as possible. The
-    limits of the axes must be final.
+    If possible, a label covers no other label and no labelled point. Among such places, the place
+    that covers the fewest points of curves is chosen. The limits of the axes must be final.
 
     Parameters
     ----------
@@ -86,11 +92,10 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield ten possible offsets of a label's middle from the point that is labelled.
+    """Yield ten possible offsets from a point to the middle of its label; the preferred one first.
 
-    The preferred offset comes first. `size` holds width and height of the label. Each offset has
-    a component to the right and a component upwards. All lengths are in typographic points (1/72
-    inch).
+    `size` holds width and height of the label. An offset holds the distances to the right and
+    upwards. All lengths are in typographic points (1/72 inch).
     """
     half = size / 2 + _GAP
     for across, up in ((0.0, 1.0), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):

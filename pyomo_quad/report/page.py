@@ -37,7 +37,7 @@ def render_html(
         SVG or PNG data of each figure of the report, by name.
     views : mapping of str to str
         HTML elements to insert above figures, by the name of the figure; for example the
-        interactive player of the flights. They are not printed on paper.
+        interactive player of the flights. The elements are left out when the page is printed.
     data : str
         JSON data of the flights for the interactive player; empty for a page without player.
 
@@ -67,10 +67,10 @@ _PROGRAM = Path(__file__).with_name("page.js")
 
 
 def _label(inline: Token) -> str:
-    """Return the text of a line of Markdown without its formatting, escaped for HTML.
+    """Return the text of a line of Markdown without formatting, escaped for HTML.
 
-    `inline` is the markdown-it token of the line. The text is a label for screen readers or an
-    entry in the table of contents.
+    `inline` is the markdown-it token of the line. The text serves as a label for screen readers, as
+    the title, or in the table of contents.
     """
     return escape("".join(child.content for child in inline.children or ()))
 
@@ -109,8 +109,8 @@ class _PageRenderer(RendererHTML):
     """Markdown-to-HTML renderer that puts captions into figures and tables.
 
     A block quote of the report becomes the coloured box with the report's main result. Each section
-    becomes an element that the reader can fold. The methods override rules of markdown-it; each is
-    named after the kind of token that it renders.
+    becomes an element that the reader can fold. The methods override rules of markdown-it. Each
+    method has the name of the token type that it renders.
     """
 
     def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:

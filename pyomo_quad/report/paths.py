@@ -1,8 +1,7 @@
 """Figures of flight paths in space and on a map, and the data of the interactive player.
 
 The figures correspond to figures 4 and 6 of Yacef et al., "Energy-Efficiency Path Planning for
-Quadrotor UAV Under Wind Conditions". If a function receives several flights, the first of them is
-the plan.
+Quadrotor UAV Under Wind Conditions". In each sequence of flights, the first flight is the plan.
 """
 
 import json
@@ -118,8 +117,8 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
 def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
     """Draw a map of flight paths from above, with zones, waypoints and wind, true to scale.
 
-    A wind field is drawn as arrows at its lowest grid points and first time. Without a field, one
-    arrow shows the mean wind along the first flight.
+    Arrows show the wind field at its lowest height and first time. If the scenario has no wind
+    field, one arrow shows the mean wind along the first flight.
 
     Parameters
     ----------
@@ -157,9 +156,9 @@ def draw_map(flights: Sequence[StyledFlight], mission: Scenario) -> Figure:
 
 
 def mean_wind_of(flight: StyledFlight) -> np.ndarray:
-    """Return the mean wind along a flight, components along x and y [m/s].
+    """Return the x and y components of the mean wind along a flight [m/s].
 
-    Zero if the flight's table has no columns of the wind.
+    Both are zero if the flight's table has no columns of the wind.
     """
     known = [signal for signal in WIND if signal.name in flight.frame]
     if len(known) < len(WIND):
@@ -199,10 +198,10 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
-    `axes` is the panel, a map of flight paths from above. `grid` is the wind field. Its velocities
-    are multiplied by `scale`, the factor by which the scenario scales its wind field. The arrows
-    show the first height and the first time of the field. On a fine grid, only every second, third,
-    ... grid point has an arrow. Nothing is drawn in calm air.
+    `axes` is the panel, a map of flight paths from above. `grid` is the wind field. `scale` is the
+    scenario's factor for the velocities of the field. The arrows show the lowest height and the
+    first time of the field. On a fine grid, some grid points have no arrow. Nothing is drawn in
+    calm air.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -272,8 +271,9 @@ def draw_space(
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose paths are so far from the plan's path that they leave the figure.
 
-    The first of the given flights is the plan. A flight is returned if its largest distance from
-    the plan at equal times exceeds the diagonal of the box around the plan's path (and 0.2 m).
+    The first of the given flights is the plan. A flight is returned if its distance from the plan
+    at equal times exceeds a limit at any time. The limit is the diagonal of the box around the
+    plan's path, or 0.2 m if the diagonal is shorter.
     """
     return _further(flights, ASTRAY)
 
@@ -288,11 +288,9 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
     """Return the least and the greatest x, y and z of a figure of paths, shape (3, 2), in m.
 
-    `flights` are the flights of the figure, the first of which is the plan; `mission` is the
-    scenario whose airspace is drawn, or None. The ranges include the path of the plan, the paths of
-    the flights that stay near the plan, and the keep-out zones, floor and ceiling of the mission
-    near these paths. The function `leaving_paths` returns the flights that do not stay near the
-    plan.
+    `flights` are the flights of the figure; the first is the plan. `mission` is the scenario whose
+    airspace is drawn, or None. The ranges include all paths, except those far from the plan (see
+    `leaving_paths`). They also include nearby keep-out zones, floor and ceiling of the airspace.
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -333,8 +331,8 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
     """Replace points outside a figure's limits by NaN, because 3-D axes do not clip curves.
 
-    `points` are the points of a curve, shape (n, 3), and `limits` holds the least and the greatest
-    x, y and z of the figure, shape (3, 2), all in m. The result has the shape of `points`.
+    `points` are the points of a curve [m], shape (n, 3). `limits` holds the least and the greatest
+    x, y and z of the figure [m], shape (3, 2). The result has the shape of `points`.
     """
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     return np.where(is_inside[:, None], points, np.nan)
@@ -344,8 +342,8 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
     """Extend the axis limits of a figure of paths towards keep-out zones, floor and ceiling.
 
     The extension is limited, so that distant zones do not make the paths small. `airspace` has the
-    zones, floor and ceiling. `limits` and the result hold the least and the greatest x, y and z in
-    m, shape (3, 2).
+    zones, floor and ceiling. `limits` and the result hold the least and the greatest x, y and z
+    [m], shape (3, 2).
     """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     furthest = limits + room * np.array([-1.0, 1.0])
@@ -385,9 +383,8 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
     Returns
     -------
     list of Label
-        Labels that are not drawn yet; the caller passes them to `write_labels`, which places them
-        in the panel. First come the labels of waypoints, then, in the view from above, the names
-        of zones.
+        Labels that are not drawn yet: the labels of waypoints, then the names of zones in the view
+        from above. The caller draws them with `write_labels`.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)
@@ -454,8 +451,8 @@ def _draw_projection(
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
     """Return position [m], name and marker of the two ends of a plan's path, for figures.
 
-    `optimum` is the flight of the plan. The ends are start and goal. If both are the same place,
-    the result has one entry for it.
+    `optimum` is the flight of the plan. The ends are start and goal. If start and goal are the same
+    place, the result has only one entry.
     """
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
@@ -479,7 +476,7 @@ def _marker(flight: StyledFlight) -> dict[str, Any]:
 def axis_label(signal: Column) -> str:
     """Return the label of a coordinate axis: symbol and unit of a column of a flight's table.
 
-    `signal` describes the column, such as the position along x; symbol and unit are its attributes.
+    `signal` describes the column, such as the position along x.
     """
     return f"${signal.symbol}$ ({signal.unit})"
 

@@ -1,9 +1,8 @@
 """Figures and reports for methods such as `Plan.plot` and `RunResult.report`.
 
-Those methods do not import this module, because the modules of plans and runs must not import
-matplotlib. Instead the package registers a function in the module `pyomo_quad.presentation`. The
-registered function imports and returns this module. The methods call it through
-`pyomo_quad.presentation`.
+The modules of plans and runs do not import this module, because they must not import matplotlib.
+Their methods get this module from `pyomo_quad.presentation.presenter`, which imports it when it is
+first needed.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -41,7 +40,7 @@ class DrawnFigure:
     Attributes
     ----------
     name : str
-        Name of the figure, or the trajectory table's column that it shows.
+        Name of the figure, or of the column of the trajectory table that the figure shows.
     caption : str
         Caption that a report prints under the figure.
     figure : matplotlib Figure
