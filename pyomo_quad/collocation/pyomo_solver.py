@@ -136,7 +136,7 @@ class PyomoSolver:
             Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
             continuous set), and the value is a static variable. The solve determines the variable,
             which is the physical time at which the conditions declared at 1.0 hold. For a model
-            with several continuous sets, such a mapping for each set, by the set's name.
+            with several continuous sets: name of the set -> mapping of this kind.
         **arguments
             Further arguments of `Problem.solve`, such as `tolerance`, `mesh` and `guess`.
 
@@ -187,10 +187,14 @@ class PyomoSolver:
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
     """Raise an error if `PyomoSolver.solve` was called with an unknown keyword argument.
 
-    `arguments` are the keyword arguments that `PyomoSolver.solve` does not use itself, but passes
-    on to the method `solve` of `problem`, the compiled problem. An argument is unknown if the
-    compiled problem's method does not accept it. The argument `progress` of that method is refused,
-    too: `PyomoSolver.solve` sets it itself, to print the iterations.
+    Parameters
+    ----------
+    arguments : dict
+        Keyword arguments that `PyomoSolver.solve` passes on to the method `solve` of the problem.
+        An argument is unknown if this method does not accept it. The argument `progress` counts as
+        unknown, because `PyomoSolver.solve` sets it itself to print the iterations.
+    problem : Problem or JointProblem
+        Compiled problem.
     """
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
     taken = known - {"self", "model", "arguments", "progress"}

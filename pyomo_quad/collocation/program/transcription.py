@@ -273,9 +273,10 @@ class Transcription:
     def path_variables(self, z: FloatArray) -> FloatArray:
         """Return the variables at the collocation points, one row per point.
 
-        The columns are the rates (derivatives of the states with respect to the fraction of the
-        horizon), the states, the algebraic variables, and the static variables, which are the same
-        at all points. `z` are the unknowns of the program.
+        The columns are the rates, the states, the algebraic variables and the static variables.
+        Rates are the derivatives of the states with respect to the fraction of the horizon. Static
+        variables have no time, so that all rows repeat their values. `z` are the unknowns of the
+        program.
         """
         layout = self.layout
         states = z[layout.state_columns]
@@ -287,8 +288,9 @@ class Transcription:
     def rows_at_points(self, z: FloatArray) -> FloatArray:
         """Return the values of path equations and integrands at the collocation points.
 
-        The shape is (n_points, n_equations + n_integrals): the path equations, then the integrands
-        of all integrals, at the unknowns `z`. The values at the most recent unknowns are cached.
+        The shape is (n_points, n_equations + n_integrals). The columns are the path equations, then
+        the integrands of all integrals. `z` are the unknowns of the program. The values at the most
+        recent unknowns are cached.
         """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:
@@ -310,14 +312,13 @@ class Transcription:
         """Return the running cost of the objective at the collocation points, shape (n_points,).
 
         The objective may contain integrals over the horizon, each multiplied by a coefficient. The
-        running cost is the sum of their integrands, multiplied by the same coefficients, and by -1
-        if the objective is maximised. The integral of the running cost over the fraction of the
-        horizon (from 0 to 1) is therefore the part of the minimised objective that these integrals
-        contribute.
+        running cost is the sum of the integrands of these integrals, each multiplied by the
+        coefficient of its integral. If the objective is maximised, the sum is multiplied by -1. The
+        running cost is a density over the fraction of the horizon, which goes from 0 to 1.
 
-        In the objective, a static variable (a variable without time) takes the place of some
-        integrals, for example of integrals that enter the objective nonlinearly. The integrands of
-        such integrals are left out of the running cost. `z` are the unknowns of the program.
+        The sum has only integrals that enter the objective directly. For other integrals, for
+        example those that enter it nonlinearly, a static variable (a variable without time) stands
+        in the objective. `z` are the unknowns of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -326,10 +327,10 @@ class Transcription:
     def objective_size(self, z: FloatArray) -> float:
         """Return the magnitude of the objective, as a reference for its relative errors.
 
-        The magnitude is the larger of two numbers at the unknowns `z`: the absolute value of the
-        objective, and the integral over the fraction of the horizon of the absolute value of the
-        running cost. Positive and negative parts of the running cost do not cancel in this
-        integral. (The method `objective_density` returns the running cost.)
+        The magnitude is the larger of two numbers at the unknowns `z`. One is the absolute value of
+        the objective. The other is the integral of the absolute value of the running cost over the
+        fraction of the horizon, in which positive and negative parts do not cancel. The method
+        `objective_density` returns the running cost.
         """
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
@@ -337,10 +338,9 @@ class Transcription:
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        An integral enters the objective directly if no static variable (a variable without time)
-        stands for it in the objective. The derivatives are those of the objective of the Pyomo
-        model (not negated if it is maximised) at the unknowns `z`; there is one for each of these
-        integrals.
+        For each of the other integrals, a static variable (a variable without time) stands in the
+        objective. There is one derivative per direct integral, at the unknowns `z`. The objective
+        is that of the Pyomo model, not negated if it is maximised.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
@@ -357,8 +357,9 @@ class Transcription:
         """Return the variables of conditions and objective as an array with one row.
 
         A condition is a constraint at declared times (members of the continuous set). The variables
-        are values at declared times, static variables, and the integrals that enter the objective
-        directly, without a static variable that equals them. `z` are the unknowns of the program.
+        are values at declared times, static variables (variables without time), and integrals. The
+        integrals are only those for which no static variable stands in the objective. `z` are the
+        unknowns of the program.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -379,10 +380,10 @@ class Transcription:
     def constraints(self, z: FloatArray) -> FloatArray:
         """Return the values of all constraints of the program at the unknowns `z`.
 
-        The result is a vector with one value per constraint: the path equations, collocation point
-        by collocation point, then the conditions (constraints at declared times, the members of the
-        continuous set), then the constraints that each make a static variable (a variable without
-        time) equal to an integral.
+        The result is a vector with one value per constraint, in three parts. First come the path
+        equations, collocation point by collocation point. Then come the conditions, which are
+        constraints at declared times (members of the continuous set). Last come the constraints
+        that make a static variable (a variable without time) equal to an integral.
         """
         n = self.compiled.n_equations
         conditions = self._point[0](self.point_variables(z), self._point_data)[0][0, :-1]
@@ -396,12 +397,14 @@ class Transcription:
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
         """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`.
 
-        The derivatives are the values of CasADi functions at the unknowns `z`, as one array: the
-        nonzeros of the Jacobian of path equations and integrands, point by point, then the nonzeros
-        of the Jacobian of conditions (constraints at declared times) and objective, and a final 1.
-        The final 1 is the derivative of a constraint that makes a static variable (a variable
-        without time) equal to an integral, with respect to this variable. The linear maps that
-        assemble gradient and Jacobian from this array come from the function `jacobian_scatter`.
+        The result is one array with three parts, evaluated at the unknowns `z`. First come the
+        nonzeros of the Jacobian of path equations and integrands, point by point. Then come the
+        nonzeros of the Jacobian of conditions (constraints at declared times) and objective. The
+        last entry is 1. It serves the constraints that make a static variable (a variable without
+        time) equal to an integral: 1 is their derivative with respect to the static variable.
+
+        The function `jacobian_scatter` returns the linear maps from this array to gradient and
+        Jacobian.
         """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
@@ -440,9 +443,9 @@ class Transcription:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
 
         The Hessian is taken with respect to the unknowns, at their values `z`. `factor` multiplies
-        the objective to minimise, and `multipliers` has one value per constraint. The nonzeros are
-        those of the lower triangle, in the order of the indices that the method `hessianstructure`
-        returns.
+        the objective to minimise, and `multipliers` has one value per constraint. Only nonzeros of
+        the lower triangle are returned. Their order is that of the indices from the method
+        `hessianstructure`.
         """
         factor = self._sign * factor
         path = np.zeros(0)
@@ -459,14 +462,24 @@ class Transcription:
     ) -> FloatArray:
         """Return the weights of path equations and integrands in the Lagrangian, at each point.
 
-        The shape is (n_points, n_equations + n_integrals), with one row per collocation point. The
-        weight of a path equation is its multiplier. The weight of an integrand is the quadrature
-        weight of the point times the weight of its integral in the Lagrangian. (The method
-        `integral_weights` returns the weights of the integrals.)
+        The weight of a path equation is its multiplier. The weight of an integrand is the weight of
+        its integral, from the method `integral_weights`, times the quadrature weight of the point.
 
-        `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
-        `factor` multiplies the objective of the Pyomo model in the Lagrangian; by default 1, or -1
-        if the objective is maximised.
+        Parameters
+        ----------
+        z : ndarray, shape (n_unknowns,)
+            Unknowns of the program.
+        multipliers : ndarray, shape (n_constraints,)
+            Multipliers of all constraints of the program.
+        factor : float, optional
+            Factor of the Pyomo model's objective in the Lagrangian. By default 1, or -1 if the
+            objective is maximised.
+
+        Returns
+        -------
+        ndarray, shape (n_points, n_equations + n_integrals)
+            One row per collocation point: the weights of the path equations, then of the
+            integrands.
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -479,14 +492,20 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        If the integral enters the objective directly, the weight is `factor` times the derivative
+        If the integral enters the objective directly, its weight is `factor` times the derivative
         of the Pyomo model's objective with respect to the integral. Otherwise a static variable (a
-        variable without time) stands for the integral, and a constraint makes this variable equal
-        to the integral. The weight is then minus the multiplier of this constraint.
+        variable without time) stands for the integral, and a constraint makes the variable equal to
+        the integral. The weight of the integral is then minus the multiplier of this constraint.
 
-        `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
-        `factor` multiplies the objective of the Pyomo model in the Lagrangian; by default 1, or -1
-        if the objective is maximised.
+        Parameters
+        ----------
+        z : ndarray, shape (n_unknowns,)
+            Unknowns of the program.
+        multipliers : ndarray, shape (n_constraints,)
+            Multipliers of all constraints of the program.
+        factor : float, optional
+            Factor of the Pyomo model's objective in the Lagrangian. By default 1, or -1 if the
+            objective is maximised.
         """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
@@ -499,12 +518,12 @@ class Transcription:
         """Return the second derivatives of the Lagrangian with respect to each variable of a point.
 
         The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
-        respect to variable j at collocation point i, per unit of the fraction of the horizon
-        (divided by the quadrature weight of the point). The variables are in this order: rates
-        (derivatives of the states with respect to the fraction of the horizon), states, algebraic
-        and static variables. The entries are the diagonals of the Hessians that the method
-        `path_hessians` returns. `z` are the unknowns, and `multipliers` the multipliers of all
-        constraints of the program.
+        respect to variable j at collocation point i, divided by the quadrature weight of the point.
+        The variables are rates, states, algebraic and static variables, in this order. Rates are
+        the derivatives of the states with respect to the fraction of the horizon.
+
+        `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
+        The entries are the diagonals of the Hessians that the method `path_hessians` returns.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -516,9 +535,8 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return for each collocation point the Hessian of the Lagrangian in the point's variables.
 
-        The terms of the Lagrangian are those of the path equations and the integrands at the point.
-        They are divided by the quadrature weight of the point, which makes them a density over the
-        fraction of the horizon.
+        The Lagrangian at a point has the terms of the path equations and of the integrands there.
+        These terms are divided by the quadrature weight of the point.
 
         Parameters
         ----------
@@ -530,9 +548,9 @@ class Transcription:
         Returns
         -------
         ndarray, shape (n_points, n_variables, n_variables)
-            Hessians. The variables of a point are, in this order: rates (derivatives of the states
-            with respect to the fraction of the horizon), states, algebraic variables and static
-            variables.
+            Hessians. The variables of a point are rates, states, algebraic variables and static
+            variables, in this order. Rates are the derivatives of the states with respect to the
+            fraction of the horizon.
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -544,10 +562,9 @@ class Transcription:
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros).
 
-        The Hessian is taken with respect to the variables of a collocation point, per unit of the
-        fraction of the horizon (divided by the quadrature weight of the point); the nonzeros are
-        those of its lower triangle. `z` are the unknowns, and `multipliers` the multipliers of all
-        constraints of the program.
+        The Hessian is taken with respect to the variables of one collocation point. The result has
+        the nonzeros of its lower triangle, divided by the quadrature weight of the point. `z` are
+        the unknowns, and `multipliers` the multipliers of all constraints of the program.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
@@ -589,11 +606,10 @@ class Transcription:
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
-        The contribution at a collocation point is the sum of all integrands, each multiplied by the
-        weight of its integral in the Lagrangian. (The method `integral_weights` returns these
-        weights.) The integral of the contribution over the fraction of the horizon is the part of
-        the Lagrangian that comes from all integrals. `z` are the unknowns, and `multipliers` the
-        multipliers of all constraints of the program.
+        The contribution at a collocation point is a weighted sum of all integrands. The weight of
+        an integrand is the weight of its integral in the Lagrangian, from the method
+        `integral_weights`. The contribution is a density over the fraction of the horizon. `z` are
+        the unknowns, and `multipliers` the multipliers of all constraints of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
@@ -621,7 +637,7 @@ class Linearised:
 def linearised(program: Transcription, variables: FloatArray, data: FloatArray) -> Linearised:
     """Return the derivatives of the differential equations with respect to rates and states.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon; an equality
+    Rates are the derivatives of the states with respect to the fraction of the horizon. An equality
     that contains a rate is a differential equation.
 
     Parameters
@@ -630,7 +646,7 @@ def linearised(program: Transcription, variables: FloatArray, data: FloatArray) 
     variables : ndarray, shape (n_points, n_variables)
         Rates, states, algebraic and static variables at the points of linearisation.
     data : ndarray, shape (n_points, n_data)
-        Fraction of the horizon and parameters at these points.
+        Fraction of the horizon and parameters at the points of linearisation.
     """
     path, n = program.compiled.path, program.layout.n_states
     differential = np.zeros(path.values.numel_out(0), dtype=bool)
@@ -647,7 +663,7 @@ def rate_corrections(
 ) -> FloatArray:
     """Return the changes of the rates after which the differential equations are satisfied.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon; an equality
+    Rates are the derivatives of the states with respect to the fraction of the horizon. An equality
     that contains a rate is a differential equation.
 
     Parameters
@@ -656,9 +672,9 @@ def rate_corrections(
     variables : ndarray, shape (n_points, n_variables)
         Rates, states, algebraic and static variables at the points.
     data : ndarray, shape (n_points, n_data)
-        Fraction of the horizon and parameters at these points.
+        Fraction of the horizon and parameters at the points.
     rows : ndarray, shape (n_points, n_equations)
-        Values of the path equations at these points.
+        Values of the path equations at the points.
 
     Returns
     -------

@@ -1,9 +1,8 @@
 """Declared times of a horizon, some of which may be free, and the phases between them.
 
-A declared time is a member of the model's continuous set, at which the model can state conditions.
-The declared time is free if a static variable (a variable without time) gives the physical time to
-which it corresponds. Between two declared times, physical time is linear in the fraction of the
-horizon.
+A declared time is a member of the model's continuous set. The model can state conditions at
+declared times. A declared time is free if a static variable (a variable without time) gives its
+physical time. Within a phase, physical time is linear in the fraction of the horizon.
 """
 
 from __future__ import annotations
@@ -43,26 +42,26 @@ class PhaseTimes:
     """Phases of a horizon: the declared times that bound them, and physical time in CasADi symbols.
 
     A declared time is a member of the continuous set. It is free if a static variable (a variable
-    without time) gives the physical time to which it corresponds. The free times inside the horizon
-    divide it into phases.
+    without time) gives its physical time. The free times inside the horizon divide it into phases.
 
     Attributes
     ----------
     name : str
         Name of the continuous set.
     declared : tuple of float
-        Declared times that bound the phases, start and end of the horizon included. Within a phase
+        Declared times that bound the phases, start and end of the horizon included. Within a phase,
         physical time is linear in the fraction of the horizon.
     times : tuple
-        Physical times of these declared times, as CasADi expressions of static variables and
+        Physical times of the bounds in `declared`, as CasADi expressions of static variables and
         parameters.
     fraction : SX
         Symbol of the fraction of the declared horizon, which extends from the first to the last
         declared time.
     phases : tuple of SX
-        One symbol per phase, 1 at times of the phase and 0 elsewhere; none for a single phase.
+        One symbol per phase, 1 at times of the phase and 0 elsewhere. Empty if there is only one
+        phase.
     is_free : bool
-        Whether any of the declared times that bound the phases is free.
+        Whether any of the times in `declared` is free.
     """
 
     name: str
@@ -97,9 +96,9 @@ class PhaseTimes:
 
     @property
     def _phase_factors(self) -> tuple[Any, ...]:
-        """Factors, one per phase, that are 1 at times of the phase and 0 elsewhere.
+        """Factors, one per phase: 1 at times of the phase and 0 elsewhere.
 
-        The factor of a single phase is the number 1.
+        If there is only one phase, its factor is the number 1.
         """
         return self.phases or (1.0,)
 
@@ -160,9 +159,9 @@ class PhaseTimes:
     def orders(self) -> list[tuple[str, Any]]:
         """Return the constraints that keep the times that bound the phases in rising order.
 
-        There is one constraint per phase, as a pair of a name and a CasADi expression. The
-        expression must not be negative: it is the duration of the phase minus a small fraction of
-        the duration of the horizon. The list is empty for a single phase.
+        There is one constraint per phase, as a pair of a name and a CasADi expression that must not
+        be negative. The expression is the duration of the phase minus a small fraction of the
+        duration of the horizon. The list is empty for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
@@ -183,8 +182,8 @@ def free_times(
 ) -> dict[str, dict[float, Any]]:
     """Collect the static variables that give the physical times of free declared times.
 
-    A declared time is a member of a continuous set. It is free if a static variable (a variable
-    without time), and not the number in the set, gives its physical time.
+    A declared time is a member of a continuous set. A free declared time has a physical time that
+    the solve determines. A static variable (a variable without time) holds this physical time.
 
     Parameters
     ----------
@@ -193,13 +192,13 @@ def free_times(
     final_time : Var, optional
         Static variable for the physical end of the horizon, in a model with a single horizon.
     times : mapping, optional
-        Declared time -> static variable for its physical time; for several horizons, a mapping of
-        this kind for each continuous set, by name of the set.
+        In a model with a single horizon: declared time -> static variable for its physical time. In
+        a model with several horizons: name of the continuous set -> mapping of this kind.
 
     Returns
     -------
     dict
-        For each set, by name: the static variable of each free declared time.
+        Name of the continuous set -> dict: free declared time -> static variable.
 
     Raises
     ------
@@ -225,9 +224,8 @@ def free_times(
 def _only(sets: tuple[Any, ...], argument: str) -> Any:
     """Return the only continuous set; raise an error if there are none or several.
 
-    `sets` are the continuous sets of the model. `argument` is the text ``final_time`` or ``times``,
-    with which the error message starts: an argument of that name, which the user gave, requires a
-    model with a single continuous set.
+    `sets` are the continuous sets of the model. `argument` is the name of the user's argument that
+    requires a single continuous set, ``final_time`` or ``times``. The error message starts with it.
     """
     if not sets:
         raise TranscriptionError(
@@ -260,7 +258,7 @@ def _set_named(sets: tuple[Any, ...], name: str) -> Any:
 def _declared(time: Any, at: Any) -> float:
     """Return the member of the continuous set `time` that equals the number `at`.
 
-    `at` is a time that a user gave; it must be a declared time, which is a member of the set.
+    `at` is a time that a user gave.
 
     Raises
     ------
@@ -280,10 +278,17 @@ def _declared(time: Any, at: Any) -> float:
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
     """Raise an error if a variable cannot serve as the physical time of a declared time.
 
-    A declared time is a member of the continuous set `time`. `given` maps declared times to the
-    variables that give their physical times. Each of these variables must be a static variable: a
-    variable that none of the continuous sets `sets` indexes. No variable may serve for two declared
-    times.
+    A declared time is a member of a continuous set. A variable must have no time, and must not
+    serve for two declared times.
+
+    Parameters
+    ----------
+    time : ContinuousSet
+        The set of the declared times.
+    sets : tuple of ContinuousSet
+        All continuous sets of the model. None of them may index the variable.
+    given : dict
+        Declared time -> variable that gives its physical time.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

@@ -52,8 +52,8 @@ class WorkingCopy:
         The clone.
     time : ContinuousSet or None
         Continuous set of the horizon that this working copy represents. None for a model without
-        time, and for the working copy with which the constraints and the objective that couple
-        several horizons are read.
+        time. Also None for the working copy that represents the coupling of several horizons, which
+        has the constraints and the objective that do not belong to one horizon.
     template_time : float
         The added time.
     declared_times : tuple of float
@@ -78,13 +78,12 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this working copy.
 
-        A working copy represents one horizon of the model, or the coupling of its horizons: the
-        constraints that do not belong to one horizon alone.
+        A working copy represents one horizon of the model, or the coupling of its horizons. If the
+        model has at most one horizon, every constraint belongs to its only working copy.
 
-        A constraint indexed by the time of a horizon belongs to that horizon. So does a constraint
-        whose variables and parameters over time are all over the time of this one horizon. A
-        constraint that contains variables or parameters over the times of several horizons, or none
-        over time, belongs to the coupling.
+        A constraint belongs to a horizon if the time of the horizon indexes it. A constraint
+        without time belongs to a horizon if it contains variables or parameters over the time of
+        this horizon, and over no other time. All remaining constraints belong to the coupling.
 
         Parameters
         ----------
@@ -124,14 +123,14 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    If the model has several such sets, two kinds are left out: sets that index no variable, and
-    sets in deactivated blocks if no active constraint or objective contains a variable that they
-    index.
+    If there are several, unused sets are left out. A set is unused if it indexes no variable. A set
+    in a deactivated block is also unused if no active constraint or objective contains a variable
+    indexed by the set.
 
     Raises
     ------
     TranscriptionError
-        If the argument is no model, or a component is indexed by two of the sets.
+        If the argument is no model, or two of the sets index the same component.
     """
     _refuse_other_than_models(model)
     sets = tuple(
@@ -207,12 +206,12 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
     """Delete components over time for which Pyomo cannot make a member at the template time.
 
     The template time is an interior time that is added to the continuous set, to read the equations
-    over time there. The deletion does not change the nonlinear program: among components of these
-    types, only active blocks and active objectives would contribute to the program, and for active
-    blocks and objectives over time an earlier check has raised an error.
+    over time there. `copy` is the clone of the user's model from which the components are deleted.
+    `time` is the continuous set that indexes the components.
 
-    `copy` is the clone of the user's model from which the components are deleted, and `time` is the
-    continuous set that indexes them.
+    The deletion does not change the nonlinear program. Of the deleted types, only active blocks and
+    objectives could contribute to the program, and an earlier check refuses them if they are over
+    time.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -338,8 +337,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
     """Return the name of the component whose rule raised an error, for the error message.
 
-    The component is found in the traceback of `error`. If it is not there, the result has the names
-    of the continuous sets of the working copies `copies`, one per horizon.
+    The traceback of `error` shows the component. If it does not, the result has the names of the
+    continuous sets of `copies`, which are the working copies of the horizons.
     """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]

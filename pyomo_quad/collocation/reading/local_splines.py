@@ -1,25 +1,25 @@
 """Tensor-product B-splines in CasADi whose evaluation cost does not depend on the grid's size.
 
-In each cell of its grid a spline is a polynomial. A single call of a CasADi function finds the
-polynomial's coefficients and returns the value, gradient and Hessian of the polynomial. A table
-with these coefficients for every cell is computed once, along one axis after the other. Along axes
-for which the table would become too large, the table holds the coefficients of the B-spline
-instead. Along such an axis, the call looks up the degree + 1 basis functions that are not zero in
-the cell, evaluates them as polynomials, and multiplies each by its B-spline coefficient. The
-look-up in a table is the evaluation of a CasADi B-spline of degree zero, which neither copies nor
-searches the table.
+In each cell of its grid a spline is a polynomial. One call of a CasADi function finds the
+coefficients of this polynomial, and returns its value, gradient and Hessian. The coefficients come
+from a table, which is computed once for all cells.
 
-CasADi never differentiates the call, because the derivatives come from a Taylor polynomial. The
-arguments of the spline are rounded to multiples of 2**-38 (4e-12) of the smallest cell width. The
-call is made at the rounded point, which counts as a constant. The CasADi expression of the spline
-is the Taylor polynomial of degree two around the rounded point. The value and the slope of the
-Taylor polynomial are exact to rounding errors. The second derivatives of the Taylor polynomial are
-constant, and differ from the spline's second derivatives by about 4e-12 of the change of the
-spline's second derivatives in a cell.
+Along some axes the table would become too large. Along these axes, the table holds the coefficients
+of the B-spline instead. The call then looks up the degree + 1 basis functions that are not zero in
+the cell, and evaluates them as polynomials. It multiplies each basis function by its B-spline
+coefficient. The look-up in a table is the evaluation of a CasADi B-spline of degree zero, which
+neither copies nor searches the table.
+
+CasADi never differentiates the call. The call is made at a point near the arguments: each argument
+is rounded to a multiple of 2**-38 (4e-12) of the smallest cell width. The rounded point counts as a
+constant. The CasADi expression of the spline is the Taylor polynomial of degree two around the
+rounded point. Value and slope of the Taylor polynomial are exact to rounding errors. Its second
+derivatives are constant. Their error is about 4e-12 of the change of the spline's second
+derivatives in a cell.
 
 CasADi's own cubic B-splines are slower, as CasADi differentiates each entry of gradient and Hessian
-separately: the Hessian of a spline with four axes took 80 microseconds. With the method of this
-module it takes 11 microseconds, and 1.5 microseconds for a spline with two axes.
+separately. The Hessian of a spline with four axes took 80 microseconds. The method of this module
+takes 11 microseconds, and 1.5 microseconds for a spline with two axes.
 """
 
 from __future__ import annotations
@@ -213,28 +213,27 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 
     In each cell of its grid, a spline is a sum of (degree + 1)**count coefficients, each multiplied
     by one factor per axis. The factor is a function of the coordinate along the axis: a power of
-    the local coordinate in the cell, or a B-spline basis function. If derivatives of the factors
-    take the place of the factors, the sum is a derivative of the spline.
+    the local coordinate in the cell, or a B-spline basis function. Derivatives of the spline need
+    derivatives of the factors, which the function returns as well.
 
     Parameters
     ----------
     count : int
         Number of axes of the spline.
     cells : int
-        Number of leading axes along which the factors are powers; along the other axes they are
-        B-spline basis functions.
+        Number of leading axes with powers as factors. The other axes have B-spline basis functions.
     degree : int
+        Degree of the spline along every axis.
 
     Returns
     -------
     casadi.Function
-        Function of a point and of one column per axis. Its results are one matrix per axis, of
-        shape (degree + 1, 3), with a row for each factor: value, first and second derivative.
-        The column of an axis describes the cell that contains the point. Its entries are the origin
-        of the local coordinate, the reciprocal width of the cell, the index of the first basis
-        function that is not zero in the cell, and the coefficients of the basis functions as
-        polynomials of the local coordinate. Along an axis with powers, only the first two entries
-        are used.
+        (point, one column per axis) -> one matrix per axis. A matrix has the shape (degree + 1, 3):
+        one row per factor, with its value, first and second derivative. The column of an axis
+        describes the cell that contains the point, in four parts: origin of the local coordinate;
+        reciprocal of the cell's width; index of the first basis function that is not zero in the
+        cell; coefficients of the basis functions as polynomials of the local coordinate. An axis
+        with powers uses only the first two parts.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
@@ -257,23 +256,22 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
     Parameters
     ----------
     parts : dict
-        Value and derivatives of the spline after earlier sums over some of its last axes. A key is
-        a tuple: order of the derivative along each summed axis; () if no axis is summed yet. The
-        item for the key is a CasADi column of partial sums. The column has one entry for each
-        combination of the coefficients along the axes that are not summed yet.
+        Value and derivatives of the spline, already summed over some of its last axes. A key is a
+        tuple with the order of the derivative along each summed axis, () if no axis is summed yet.
+        The value for a key is a CasADi column of partial sums. The column has one entry for each
+        combination of the coefficients along the other axes.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
-        the factor's value, first and second derivative.
+        its value, first and second derivative.
     axes : iterable of int
-        The axes to sum over, in rising order. Among the axes that are not summed yet in `parts`,
-        these must be the last ones.
+        The axes to sum over, in rising order: the last axes that are not summed yet in `parts`.
 
     Returns
     -------
     dict
-        Value and derivatives in the form of `parts`, after the sums over `axes`. In a key, the
-        orders of the derivative along `axes` come before the orders along the axes that were summed
-        earlier. The total order of a derivative is at most 2.
+        Value and derivatives after the sums over `axes`, in the form of `parts`. A key starts with
+        the orders of the derivative along `axes`; the key of `parts` follows. The total order of a
+        derivative is at most 2.
     """
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
@@ -293,29 +291,31 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
     """Return a CasADi function that completes the sums for value, gradient and Hessian.
 
-    The value of a spline at a point is a sum, over all axes, of a cell's coefficients, each
-    multiplied by one factor per axis. The factor is a power of the local coordinate in the cell, or
-    a B-spline basis function. A derivative of the spline is the same sum with derivatives of the
-    factors. The returned function sums over the first two axes (or the only axis); its caller sums
-    over the other axes before, with the function `_contracted`. The returned function consists of
-    scalar operations, which take less time for few numbers than products of matrices.
+    In a grid cell, a spline is a sum of the cell's coefficients, each multiplied by one factor per
+    axis. The factor is a power of the local coordinate in the cell, or a B-spline basis function. A
+    derivative of the spline is the same sum with derivatives of the factors.
+
+    The returned function sums over the first two axes, or the only axis. Its caller sums over the
+    other axes before, with the function `_contracted`. The returned function consists of scalar
+    operations, which take less time for few numbers than products of matrices.
 
     Parameters
     ----------
     given : sequence of tuple of int
-        One tuple for each sum over the other axes: orders of the derivative along these axes, ()
-        if there are no other axes.
+        One tuple for each sum over the other axes: orders of the derivative along these axes, () if
+        there are no other axes.
     count : int
         Number of axes of the spline.
     degree : int
+        Degree of the spline along every axis.
 
     Returns
     -------
     casadi.Function
-        (the sums over the other axes as one column, then for each of the first two axes the matrix
-        of its factors) -> column of value, gradient and upper triangle of the Hessian. A matrix of
-        factors has the shape (degree + 1, 3): one row per factor, with the factor's value, first
-        and second derivative.
+        (sums over the other axes, matrices of factors) -> column of value, gradient and upper
+        triangle of the Hessian. The sums are one column. There is one matrix for each of the first
+        two axes, of shape (degree + 1, 3): one row per factor, with its value, first and second
+        derivative.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left
@@ -331,9 +331,10 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
     """Return the powers of a coordinate relative to its cell, with first and second derivatives.
 
-    The relative coordinate is ``(at - anchor) * per_width``, where `per_width` is the reciprocal of
-    the cell's width. Row k of the resulting CasADi matrix belongs to the power k, from 0 to
-    `degree`; the columns hold the power and its first and second derivative with respect to `at`.
+    The relative coordinate is ``(at - anchor) * per_width``. `anchor` is the origin of the cell,
+    and `per_width` the reciprocal of its width. The result is a CasADi matrix with one row for each
+    power from 0 to `degree`. The columns are the power, and its first and second derivative with
+    respect to `at`.
     """
     share = (at - anchor) * per_width
     powers = [casadi.SX(1), *(share**k for k in range(1, degree + 1))]
@@ -379,12 +380,12 @@ class _Pieces:
     columns : ndarray of int, shape (n, degree + 1)
         For each cell, the indices of the basis functions that are not zero in the cell.
     ends : ndarray, shape (n, 2)
-        Local coordinate of each cell: its anchor (origin) and the reciprocal of its width. The
-        local coordinate is (coordinate - anchor) / width. In the first and the last cell, the width
-        is that of the neighbouring cell.
+        Anchor (origin) and reciprocal width for each cell. The local coordinate in the cell is
+        (coordinate - anchor) / width. In the first and the last cell, the width is that of the
+        neighbouring cell.
     matrices : ndarray, shape (n, degree + 1, degree + 1)
-        For each cell, the coefficients of these basis functions in powers of the local coordinate:
-        one row per power, one column per basis function.
+        For each cell, the polynomial coefficients of the basis functions in `columns`: one row per
+        power of the local coordinate, one column per basis function.
     """
 
     breaks: FloatArray
@@ -397,8 +398,8 @@ class _Pieces:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
         `knots` are the knots along one axis in rising order, and `degree` is the degree of the
-        basis functions. The spline is extrapolated linearly: in the first and the last cell, a
-        basis function is the straight line with its value and slope at the boundary to the
+        basis functions. The first and the last cell serve for linear extrapolation. In these cells,
+        a basis function is a straight line with its value and slope at the boundary to the
         neighbouring cell.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables

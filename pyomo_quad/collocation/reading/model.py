@@ -132,8 +132,8 @@ class RelationReader:
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
         """Raise an error for a constraint without a rule if its members differ in time only.
 
-        Such a constraint is probably meant for all times, but without a rule it can be
-        imposed at the declared times (the members of the continuous set) only. `component` is the
+        Such a constraint is probably meant for all times. Without a rule, however, it can only be
+        imposed at the declared times (members of the continuous set). `component` is the
         constraint, and `instances` are its members, one at each declared time.
         """
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
@@ -145,10 +145,10 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that repeats one constraint at all declared times.
 
-        A declared time is a member of the continuous set. The error is raised if the list has one
-        member per declared time, the members differ in time only, and their variables are algebraic
-        variables. Such a list is probably meant for all times, but could be imposed at the
-        declared times only. `component` is the ConstraintList.
+        A declared time is a member of the continuous set. The list is probably meant for all times,
+        but could only be imposed at the declared times. The error is raised if the list has one
+        member per declared time, and the members differ in time only. Lists with states or static
+        variables are accepted. `component` is the ConstraintList.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -211,15 +211,14 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the conditions that follow from a constraint's members at start and end.
 
-        A condition is a constraint at a single time. The conditions supplement the equation over
-        time, which is imposed at the collocation points.
+        A condition is a constraint at a single time. `equation` is the constraint as an equation
+        over time, which is imposed at the collocation points. The collocation points include the
+        end of the horizon but not its start. `instances` has the members of the constraint at
+        declared times (members of the continuous set).
 
-        The collocation points include the end of the horizon but not its start. If the equation
-        contains states, but no rates (time derivatives of states) or algebraic variables, a
-        condition therefore imposes it at the start; any other equation is not imposed there. A
-        member at the end that differs from the equation over time becomes a separate condition.
-        `equation` is the constraint as an equation over time, and `instances` has its members at
-        declared times, the members of the continuous set.
+        The member at the start becomes a condition if the equation contains states, but neither
+        rates (time derivatives of states) nor algebraic variables. The member at the end becomes a
+        condition if it differs from the equation.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -237,13 +236,18 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the members of a constraint that its equation over time does not cover.
 
-        Declared times are the members of the continuous set. A constraint's member at an interior
-        declared time may differ from the equation over time that represents the constraint. Each
-        such member is returned as a separate condition (a constraint at a single time).
+        A member at an interior declared time (member of the continuous set) may differ from the
+        equation. Each such member becomes a condition, which is a constraint at a single time.
 
-        `equation` is the constraint as an equation over time. `template` is the constraint's member
-        at the template time (the added interior time at which equations are read). `instances` has
-        the constraint's members by declared time.
+        Parameters
+        ----------
+        equation : PathEquation
+            The constraint as an equation over time.
+        template : ConstraintData or None
+            Member of the constraint at the template time, the added interior time at which
+            equations are read.
+        instances : dict
+            Members of the constraint by declared time.
         """
         added = []
         for time in self.copy.declared_times[1:-1]:
@@ -278,9 +282,8 @@ class RelationReader:
     def _is_member_alike(self, a: Any, b: Any) -> bool:
         """Return whether two members of a component are identical except for their times.
 
-        `a` and `b` are Pyomo data objects of variables or parameters. The result is True if they
-        belong to the same component, and their indices without the time are equal (i for
-        ``x[i, t]``).
+        `a` and `b` are Pyomo data objects of variables or parameters. They are alike if they belong
+        to one component and have equal indices without the time (i for ``x[i, t]``).
         """
         if a is b:
             return True
@@ -305,12 +308,12 @@ class RelationReader:
         """Return whether a condition equals an equation over time, evaluated at a declared time.
 
         A condition is a constraint at a declared time (a member of the continuous set). Condition
-        and equation come from the same constraint of the model. The condition need not be imposed
-        separately if it equals the equation.
+        and equation come from one constraint of the model. A condition that equals the equation
+        need not be imposed separately.
 
-        A rule that branches on time may return other numbers exactly at the declared time than just
-        before or after it. A difference in numbers is ignored for these rules, because the numbers
-        hold for a single instant only.
+        If the rule of the constraint branches on time, differences in numbers are ignored. Such a
+        rule may return other numbers exactly at the declared time than just before or after it.
+        Numbers that hold for a single instant only have no effect.
 
         Parameters
         ----------
@@ -354,10 +357,9 @@ class RelationReader:
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
-        A declared time is a member of the continuous set.
-
-        Values of fixed algebraic variables, and bounds that were assigned at single declared times,
-        become conditions (constraints at these times), and are added to the list `conditions`.
+        A declared time is a member of the continuous set. The method also adds constraints at
+        declared times to the list `conditions`. There is one for each value to which an algebraic
+        variable is fixed, and one for each bound that was assigned at a single declared time.
         """
         fixed = []
         table = self.symbols
@@ -578,9 +580,9 @@ class ModelReader:
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
         """Return the algebraic variables that the model uses, by name.
 
-        These are the variables in equations over time and in integrands, and the variables whose
-        values at single times appear in conditions or the objective. `points` has the symbols of
-        these values.
+        A variable may appear in an equation over time or in an integrand. Its value at a single
+        time may also appear in a condition (a constraint at this time) or the objective. `points`
+        has the symbols of the values at single times.
         """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
@@ -622,18 +624,17 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of the variables that equations without time derivatives determine.
 
-        A state that such an equation determines needs no differential equation; an example is the
-        boundary value of a variable that is discretised in space. Each equation can determine one
-        of the variables in it. A maximum bipartite matching therefore assigns the variables to
-        different equations, and the result has the names of all variables with an equation.
+        A state that such an equation determines needs no differential equation. An example is the
+        boundary value of a variable that is discretised in space.
 
-        The variables are the given states and the derivatives in space. The discretisation in space
-        adds one equation for each derivative in space. Derivatives in space take part in the
-        matching, so that an added equation is assigned to its derivative in space and does not
-        count as one that determines a state.
+        Each equation can determine one of its variables. A maximum bipartite matching assigns
+        variables to different equations. The result has the names of all variables with an
+        equation. The variables are the given states and the derivatives in space. The
+        discretisation adds one equation for each derivative in space. With the derivatives in the
+        matching, the added equations are assigned to them, and not to states.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
-        per equality over time: the names of the symbols in it.
+        per equality over time: the names of its symbols.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]

@@ -1,7 +1,7 @@
 """Sources of the values of parameters and variables: a Pyomo model, or a copy for pickling.
 
-A compiled problem reads these values when it is solved. The source is the user's Pyomo model, or,
-in a problem that was pickled, a copy of the values that the model had when it was pickled.
+A compiled problem reads these values when it is solved. The source is usually the user's Pyomo
+model. In a pickled problem, the source is a copy of the values that the model had at pickling.
 """
 
 from __future__ import annotations
@@ -100,10 +100,8 @@ def _spelled(unit: Any) -> str:
 def declared_magnitudes(model: Any) -> dict[str, float]:
     """Return the magnitudes of variables according to the Suffix `scaling_factor`, by name.
 
-    The scaling of the nonlinear program depends on the magnitudes.
-
-    A magnitude is the inverse of a scaling factor; the names may be names of components or of their
-    members.
+    The names are those of components or of their members. A magnitude is the inverse of a scaling
+    factor. The magnitudes serve to scale the nonlinear program.
     """
     magnitudes: dict[str, float] = {}
     for suffix in model.component_objects(Suffix, descend_into=True):
@@ -127,10 +125,9 @@ class LiveModel:
         The model's continuous set.
     schedules : tuple of Schedule or Phases
         Functions of time that return data of the compiled equations. A `Schedule` belongs to a rule
-        that branches on time, and returns which expression the rule yields at a time, and the
+        that branches on time. It returns which expression the rule yields at a time, and the
         numbers in this expression. `Phases` returns which phase of the horizon contains the time.
-        The attribute `scheduled` of the translated model (class `Declarations`) lists the symbols
-        of these data.
+        The class `Declarations` lists the symbols of these data in its attribute `scheduled`.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -198,15 +195,9 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The result is None if the variable has no `initialize` rule, or if the values in the model
-        differ from the values of the rule.
-
-        `slot` is the variable.
-
-        Raises
-        ------
-        TranscriptionError
-            Raised by the function, at a time at which the rule fails.
+        `slot` is the variable. The result is None if the variable has no `initialize` rule. It is
+        also None if the values in the model are no longer those of the rule. The returned function
+        raises a `TranscriptionError` at a time at which the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -226,14 +217,15 @@ class LiveModel:
     ) -> Callable[[float], float]:
         """Return a component's rule as a function of time that raises an error if the rule fails.
 
-        The error is a `TranscriptionError` with a message for the user, instead of the exception of
-        the rule.
+        The error is a `TranscriptionError` with a message for the user. It replaces the exception
+        of the rule.
 
         Parameters
         ----------
         component : Pyomo component
+            Component that has the rule.
         slot : Slot
-            The member of the component.
+            The member of the component, over time.
         rule : callable
             (block, index) -> value.
         kind, advice : str
@@ -255,8 +247,8 @@ class LiveModel:
         """Return the Pyomo data object of a variable or parameter.
 
         `component` is the Pyomo variable or parameter. `slot` gives the index without the time (i
-        for ``x[i, t]``). `time` is the declared time (member of the continuous set) of the data
-        object, None for a variable or parameter without time.
+        for ``x[i, t]``). `time` is a declared time (member of the continuous set), or None for a
+        variable or parameter without time.
         """
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
@@ -267,15 +259,16 @@ class LiveModel:
     def signal(self, slot: Slot) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        `slot` is the parameter.
+        `slot` is the parameter. The returned function calls the rule of the parameter, and raises a
+        `TranscriptionError` at a time at which the rule fails. A parameter without a rule must be
+        constant.
 
         Raises
         ------
         TranscriptionError
-            If the parameter has no rule and its values differ between declared times (members of
-            the continuous set), so that the values at other times are unknown. Also if the
-            parameter has a rule, but its values in the model differ from the values of the rule.
-            The returned function raises a `TranscriptionError` at a time at which the rule fails.
+            If a parameter without a rule has different values at declared times (members of the
+            continuous set). Its values at other times are then unknown. Also if the values in the
+            model are not those of the parameter's rule.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -415,9 +408,9 @@ class LiveModel:
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant`, which can be pickled.
 
-        The interpolant has no pieces if the parameter cannot be approximated by polynomials. `slot`
-        is the parameter. `horizon` has the start and the end of the approximation, and `asked` the
-        times between which jumps are searched.
+        `slot` is the parameter. `horizon` has the start and the end of the approximation. `asked`
+        are times in rising order, between which jumps are searched. If polynomials cannot
+        approximate the parameter, the interpolant has no pieces.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -434,8 +427,17 @@ def _as_interpolant(
     """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
 
     If the function fails or is too rough, the interpolant has no pieces and contains the reason.
-    `slot` is the component that the function belongs to, and `horizon` has the start and the end of
-    the approximation. `asked` are the times between which jumps of the function are searched.
+
+    Parameters
+    ----------
+    slot : Slot
+        Component that the function belongs to, for messages.
+    function : callable
+        Time -> value.
+    horizon : (float, float)
+        Start and end of the approximation.
+    asked : list of float
+        Times in rising order, between which jumps of the function are searched.
     """
     try:
         edges = list(jumps(partial(as_reading, function), asked))
@@ -533,9 +535,8 @@ class ModelSnapshot:
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
     """Return a function's value at a time as a `Reading`, which the function `jumps` requires.
 
-    A `Reading` has numbers, and a key that identifies the form of an expression. The function
-    `jumps` finds the times at which the numbers jump or the key changes. The result has the value
-    of the function `signal` at `time` as its only number, and no key, so that `jumps` finds the
-    times at which the value jumps.
+    A `Reading` has numbers and a key. The function `jumps` finds the times at which the numbers
+    jump or the key changes. Here the only number is the value of the function `signal` at `time`,
+    and the key is None.
     """
     return Reading(None, (signal(time),))

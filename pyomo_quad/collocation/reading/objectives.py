@@ -19,8 +19,7 @@ if TYPE_CHECKING:
 def objective_of(copy: WorkingCopy) -> Any:
     """Return the active objective of a model, None if the model has no active objective.
 
-    `copy` is the working copy of the model: a clone of the user's model, in which each continuous
-    set has an additional time.
+    `copy` is a clone of the user's model, with an additional time in each continuous set.
 
     Raises
     ------
@@ -47,12 +46,11 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     """Raise an error for an objective that sums a function of a control over the declared times.
 
     The declared times are the members of the continuous set. The sum is probably meant as an
-    integral, because a control has no meaning at a single time. A sum that is meant as an integral
-    is recognised by terms that are the same function of the variables at all declared times. A sum
-    over a state is accepted: the sum may be a fit to data, whose terms differ from time to time, or
-    a cost at start and end of the horizon.
+    integral, because a control has no meaning at a single time. The error is raised if the control
+    enters the objective in the same way at all declared times. A sum over a state is accepted. It
+    may be a fit to data, or a cost at start and end of the horizon.
 
-    `objective` is the Pyomo objective, `time` the continuous set, and `copy` the clone of the
+    `objective` is the Pyomo objective, and `time` the continuous set. `copy` is the clone of the
     user's model to which they belong.
     """
     addresses = AddressBook(time)
@@ -91,8 +89,8 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
     """Return whether the objective depends on a variable in the same way at two declared times.
 
-    The declared times are members of the continuous set. The derivatives of the objective with
-    respect to the variable at the first time and at the second time are compared.
+    The declared times are members of the continuous set. The function compares the derivatives of
+    the objective with respect to the variable at both times.
 
     Parameters
     ----------
@@ -101,8 +99,7 @@ def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any])
     key : (str, tuple)
         The variable: name of its component, and its index without the time.
     first, other : dict
-        Symbols of all variables at the first and at the second time, with keys in the form of
-        `key`.
+        Symbols of all variables at one time and at the other time, with keys in the form of `key`.
     """
     if key not in other:
         return False

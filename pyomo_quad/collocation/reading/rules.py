@@ -101,9 +101,9 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Raise an error for rules that fail at the template time, which the model does not declare.
 
     The template time is an interior time that is added to a continuous set, to read the equations
-    over time there. Pyomo takes a `KeyError` in a rule as a request to skip the member.
-    Without this check, a constraint whose rule fails in this way at the template time would be
-    missing from the nonlinear program without notice.
+    over time there. Pyomo takes a `KeyError` in a rule as a request to skip the member. A rule that
+    fails with a `KeyError` at the template time would therefore remove its constraint from the
+    nonlinear program without notice.
 
     Parameters
     ----------
@@ -130,11 +130,9 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    Equations over time are read by calling the rule again. A member that the user changed with
-    Pyomo's method `set_value`, after the rule had made the member, would thus be overlooked.
-
-    `copy` is the clone of the user's model. Its constraints and named expressions with a rule are
-    checked.
+    Equations over time are read by calling the rule again. The call would overlook a member that
+    the user has changed with Pyomo's method `set_value`. `copy` is the clone of the user's model.
+    Its constraints and named expressions with a rule are checked.
 
     Raises
     ------
@@ -177,8 +175,8 @@ def _is_same(held: Any, stated: Any) -> bool:
 class _PrefixNotation(PrefixVisitor):
     """Visitor that writes a Pyomo expression in prefix notation, so that two can be compared.
 
-    A named expression is written as a single entry, without its contents. Its contents are compared
-    once, when the named expression itself is compared with the expression that its rule returns.
+    A named expression is written as a single entry, without its contents. The contents are checked
+    elsewhere: each named expression is itself compared with the expression that its rule returns.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
@@ -272,8 +270,8 @@ class _Translator:
     def _global(self, value: Any, function: FunctionType) -> Any:
         """Return the value of a global variable, translated to refer to the clone.
 
-        `value` is the value of the variable, which the function `function` reads. A function that
-        was imported from another module is returned unchanged.
+        `value` is the value of the variable, and `function` is the function that reads it. If the
+        value is a function from another module, it is returned unchanged.
         """
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__

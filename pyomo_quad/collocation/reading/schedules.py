@@ -1,13 +1,13 @@
 """Rules that branch on time, as data over time for compiled equations.
 
 A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
-Therefore this module calls the rule at many times and sorts the returned expressions into forms:
-expressions that differ in their numbers only have the same form. Each form is compiled once. The
-choice of the form that applies at a time, and the numbers that differ, are data of every
-collocation point. Bisection finds the times at which these data jump.
+This module therefore calls the rule at many times, and sorts the returned expressions into forms.
+Expressions of one form differ in their numbers only. Each form is compiled once. Two things are
+then data of every collocation point: which form applies there, and the numbers that vary. Bisection
+finds the times at which these data jump.
 
-For pickling, piecewise polynomials between these jumps replace the functions of time, so that the
-functions can be evaluated without the rules of the model.
+For pickling, piecewise polynomials replace the functions of time, so that no rule of the model is
+needed to evaluate them. The pieces do not extend across jumps.
 """
 
 from __future__ import annotations
@@ -148,17 +148,17 @@ class Schedule:
     say : callable
         Time -> `Statement`, the result of the rule.
     times : sequence of float
-        Declared times (members of the continuous set); the rule is called between them, and just
+        Declared times (members of the continuous set). The rule is called between them, and just
         before and just after each of them.
     place : callable, optional
-        Maps a time to the time with which the rule is called instead, for rules whose result is the
+        Time -> time with which the rule is called instead. It serves for rules whose result is the
         same over an interval.
 
     Attributes
     ----------
     slots : tuple of Slot
-        Data of a collocation point that the compiled forms read, in the order in which the method
-        `row` returns the values: factors that select the form, then the numbers that vary.
+        Data of a collocation point that the compiled forms read: factors that select the form, then
+        the numbers that vary. The method `row` returns the values in this order.
 
     Raises
     ------
@@ -194,9 +194,8 @@ class Schedule:
     def _slot(self, what: str) -> Slot:
         """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
 
-        `what` says in words what the quantity is: the factor that selects a form of the rule's
-        result, or one of the numbers in a form. The name of the quantity is the name of the
-        component, followed by `what` in parentheses.
+        The name of the quantity is the name of the component, followed by `what` in parentheses.
+        `what` says in words what the quantity is, for example a number in the rule's result.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -215,7 +214,7 @@ class Schedule:
         ------
         TranscriptionError
             If the rule returns a form that it returned at none of the times tried before
-            compilation.
+            compilation, or if a number varies that was constant at those times.
         """
         return _remembered(self._known, self._place(time), self._read)
 
@@ -235,14 +234,22 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, or register the form if it is new.
 
-        A form is an expression with its numbers as parameters. After compilation, an unknown form
-        raises an error. `found` has the form and the numbers of the result `statement` of the rule
-        at `time`.
+        A form is an expression with its numbers as parameters.
+
+        Parameters
+        ----------
+        found : Reading
+            Form and numbers of the result.
+        statement : Statement
+            The result of the rule.
+        time : float
+            Time with which the rule was called, for messages.
 
         Raises
         ------
         TranscriptionError
-            If there are too many forms, or the form was not known when the model was compiled.
+            If there are too many forms. After compilation, also if the form is new, or a number in
+            it differs that was constant before.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -279,7 +286,7 @@ class Schedule:
     def _row(self, time: float) -> list[float]:
         """Call the rule at a time, and return the data that the compiled forms read.
 
-        The data are those that the method `row` returns, but `row` looks them up in a cache first.
+        The method `row` returns the same data from a cache, and calls this method for new times.
         """
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
@@ -291,20 +298,20 @@ class Schedule:
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
-        The parts are lower bound, body and upper bound of a constraint, or a single expression. A
-        result has one of a few forms, which differ in more than their numbers. In the returned
-        expressions, symbols (the attribute `slots`) select the form that applies and stand for the
-        numbers that vary; the values of the symbols are data over time.
+        The parts are lower bound, body and upper bound of a constraint, or a single expression. The
+        rule returns one of a few forms, which differ in more than their numbers. Symbols in the
+        returned expressions select the form that applies, and replace the numbers that vary. These
+        symbols are the attribute `slots`; their values are data over time.
 
         Parameters
         ----------
         write : callable
-            (part, numbers) -> CasADi expression of a Pyomo expression `part`. The iterator
-            `numbers` yields what replaces the numbers in `part`, in the order in which they appear:
-            symbols for numbers that vary, and the other numbers themselves.
+            (part, numbers) -> CasADi expression of the Pyomo expression `part`. The iterator
+            `numbers` yields what to write for each number in `part`, in the order of appearance: a
+            symbol for a number that varies, and the number itself otherwise.
         absent : sequence
-            For each part, the value that replaces it where the rule returns None instead, for
-            example minus infinity for an absent lower bound.
+            For each part, the value to write where the rule returns None, for example minus
+            infinity for an absent lower bound.
 
         Returns
         -------
@@ -331,12 +338,12 @@ class Schedule:
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
         """Replace the bodies of forms without bounds by the body of a form with bounds.
 
-        Results of the rule have the same form if they differ in their numbers only. A form without
-        bounds results where the rule skips the constraint, so that the body has no effect there.
-        The body that replaces it must be linear; otherwise nothing is changed. With equal bodies in
-        all forms, a constraint on a single variable remains a bound of that variable.
+        Results of the rule have the same form if they differ in their numbers only. A form has no
+        bounds if the rule skips the constraint. The body of this form has no effect and can be
+        replaced. With equal bodies in all forms, a constraint on a single variable remains a bound
+        of that variable. Nothing is changed if the body of the form with bounds is not linear.
 
-        `forms` has lower bound, body and upper bound of each form, as CasADi expressions, and is
+        `forms` has lower bound, body and upper bound of each form, as CasADi expressions. It is
         changed in place.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
@@ -350,12 +357,11 @@ class Schedule:
 class Phases:
     """Indicators of the phases of a horizon with free times, as data for compiled equations.
 
-    A phase ends at a free time (a time that the solve determines) or at the end of the horizon, and
-    begins where the previous phase ends. The indicator of a phase is 1 at times of the phase and 0
-    elsewhere.
+    Free times are times that the solve determines. Those inside the horizon divide it into phases.
+    The indicator of a phase is 1 at times of the phase and 0 elsewhere.
 
-    The class can take the place of a `Schedule` (the data of a rule that branches on time), because
-    it has the same attributes `name` and `slots` and the same methods `reading` and `row`.
+    The class can take the place of a `Schedule` (the data of a rule that branches on time). Both
+    classes have the attributes `name` and `slots` and the methods `reading` and `row`.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
@@ -369,9 +375,9 @@ class Phases:
     def reading(self, time: float) -> Reading:
         """Return the phase at a time as a `Reading` for the function `jumps`.
 
-        A `Reading` has a key and numbers. Here the key is the position of the phase that contains
-        `time`, a time in the range of the continuous set, and there are no numbers. The function
-        `jumps` finds the times at which the key changes, that is, the times between phases.
+        A `Reading` has a key and numbers. Here the key is the index of the phase that contains
+        `time`, and there are no numbers. `time` is in the range of the continuous set. The function
+        `jumps` finds the times at which the key changes, which are the times between phases.
         """
         return Reading(self._clock.phase_of(time), ())
 
@@ -414,9 +420,9 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times at which a rule is called to find its forms and jumps.
 
-    The result has 64 times spread over the horizon, and times just before and just after each of
-    the given `times` (the declared times, members of the continuous set). All lie inside the
-    horizon.
+    The result has 64 times spread over the horizon. It also has times just before and just after
+    each of the given `times`, the declared times (members of the continuous set). All results lie
+    inside the horizon.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
@@ -447,8 +453,9 @@ def _jumps_between(
     """Yield the times from `start` to `end` at which a function of time jumps.
 
     The function `reading` maps a time to a `Reading`, which has numbers and a key. Every change of
-    the key is a jump. A change of a number is a jump if halving the interval around it does not
-    reduce the change. Bisection locates each jump to within `resolution`, a time.
+    the key is a jump. A change of a number is a jump if it does not become smaller when the
+    interval around it is halved. Each jump is located by bisection to within the duration
+    `resolution`.
     """
     while reading(start).key != reading(end).key:
         before, after = start, end
@@ -465,11 +472,11 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which one of several functions of time jumps.
+    """Yield the times from `start` to `end` at which a number of a reading jumps.
 
-    The function `reading` maps a time to a `Reading`, whose numbers are the values of the
-    functions. A number jumps if halving the interval around its change does not reduce the change.
-    Bisection locates each jump to within `resolution`, a time.
+    The function `reading` maps a time to a `Reading`, which has numbers. A change of a number is a
+    jump if it does not become smaller when the interval around it is halved. Each jump is located
+    by bisection to within the duration `resolution`.
     """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
@@ -495,9 +502,9 @@ def _steps(
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     """Return a fraction of the horizon, moved to just before a jump with which it coincides.
 
-    A boundary between elements belongs to the element that ends there. At a jump on a boundary, the
-    value before the jump therefore applies. `jumps_at` are the fractions at which parameters jump,
-    in rising order. The fractions 0 and 1 are moved slightly into the horizon.
+    At a jump on the boundary between two elements, the value before the jump applies, because the
+    boundary belongs to the element that ends there. `jumps_at` are the fractions at which
+    parameters jump, in rising order. The fractions 0 and 1 are moved slightly into the horizon.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -573,9 +580,8 @@ class Interpolant:
     Attributes
     ----------
     edges : tuple of float, length n_pieces + 1
-        Times that bound the pieces, in rising order; empty if there are no pieces. Where the
-        functions jump, there is an edge. The time of an edge belongs to the piece that starts
-        there.
+        Times that bound the pieces, in rising order; empty if there are no pieces. Every jump of
+        the functions is at an edge. An edge belongs to the piece that starts there.
     pieces : tuple of ndarray, shape (degree + 1, n_functions)
         Chebyshev coefficients of each piece.
     refusal : str
@@ -606,9 +612,8 @@ class Interpolant:
     def reading(self, time: float) -> Reading:
         """Return the values at a time as a `Reading` without a key, for the function `jumps`.
 
-        A `Reading` has numbers, here the values of all functions, and a key that identifies the
-        form of an expression. The function `jumps` finds the times at which the numbers jump or the
-        key changes.
+        A `Reading` has numbers and a key. Here the numbers are the values of all functions. The
+        function `jumps` finds the times at which a number jumps.
         """
         return Reading(None, tuple(self.row(time)))
 
@@ -625,10 +630,10 @@ def interpolant(
 ) -> Interpolant:
     """Approximate functions of time by piecewise polynomials over a horizon.
 
-    Functions of time that cannot be pickled, such as rules of a model, are replaced by the result
-    in a pickle. The horizon is first divided at the jumps. A piece is halved until a polynomial of
-    degree 12 reproduces each function to 1e-13 of the function's largest magnitude in the piece.
-    At a kink, the pieces thus become short.
+    In a pickle, the result replaces functions that cannot be pickled, such as rules of a model. The
+    horizon is first divided at the jumps. A piece is halved until a polynomial of degree 12
+    reproduces each function to 1e-13 of the function's largest magnitude in the piece. Pieces are
+    therefore short near a kink.
 
     Parameters
     ----------

@@ -1,10 +1,10 @@
 """CasADi symbols of a Pyomo model's components, and the model as expressions of these symbols.
 
-A Pyomo constraint over time has one member for each time in the continuous set. To translate the
-constraint into one equation that holds at all times, an interior time is added to the continuous
-set of a clone of the model: the template time. The member of the constraint at the template time is
-translated to CasADi, and the resulting equation is imposed at every collocation point. Declared
-times are the members that the continuous set has in the user's own model.
+A Pyomo constraint over time has one member for each time in the continuous set. It is translated
+into one equation that holds at all times. For this purpose, an interior time is added to the
+continuous set of a clone of the model: the template time. The member of the constraint at the
+template time is translated to CasADi. The resulting equation is imposed at every collocation point.
+Declared times are the members that the continuous set has in the user's own model.
 """
 
 from __future__ import annotations
@@ -34,9 +34,9 @@ if TYPE_CHECKING:
 class TimeSymbol:
     """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    As an index it equals the template time (the added interior time at which equations are read),
-    so that ``m.x[t]`` is the member at that time. In arithmetic it is a Pyomo parameter that stands
-    for physical time.
+    As an index it equals the template time, the added interior time at which equations are read.
+    ``m.x[t]`` is thus the member at the template time. In arithmetic the symbol is a Pyomo
+    parameter that stands for physical time.
 
     Parameters
     ----------
@@ -80,12 +80,12 @@ class TimeSymbol:
         """Return the result of comparing this symbol with another number in a rule of the model.
 
         In comparisons the symbol has a number, by default the template time (the added interior
-        time at which equations are read). A comparison with a number that is no declared time
-        (member of the continuous set) counts as reading the symbol's number. It sets the attribute
-        `is_read` to true: the result of the rule then does not serve all times.
+        time at which equations are read). `relation` is the comparison, a function of two numbers,
+        for example `operator.lt`. `other` is the second number, or another symbol for time.
 
-        `relation` is the comparison, a function of two numbers, for example `operator.lt`; `other`
-        is the second number, or another symbol for time.
+        A comparison with a declared time (member of the continuous set) has no further effect. A
+        comparison with any other number sets the attribute `is_read` to True, because the result of
+        the rule then does not serve all times.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -167,7 +167,7 @@ class Instant(float):
     """Number that a rule receives as its time, and that equals the template time as an index.
 
     The template time is the added interior time at which equations are read. A rule that branches
-    on time is called with several instants; the variables in its results are always the members at
+    on time is called with several instants. The variables in all of its results are the members at
     the template time.
     """
 
@@ -200,10 +200,10 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for a block, in which the continuous set consists of two equal times.
 
-    The rule of a `pyomo.dae.Integral` sums trapezoids between the times in the set. With this
-    stand-in as its block, the rule sums a single trapezoid, whose two ends are the same time. The
-    difference of these two ends is defined as 1. The area of the trapezoid is therefore the
-    integrand at that time. The function `integrand` uses the stand-in to obtain the integrand.
+    The function `integrand` uses the stand-in to obtain the integrand of a `pyomo.dae.Integral`.
+    The rule of an integral sums trapezoids between the times in the set. With this stand-in as its
+    block, the rule sums a single trapezoid, whose two ends are at one time. The difference of the
+    two ends is defined as 1. The area of the trapezoid is therefore the integrand at this time.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
