@@ -51,14 +51,14 @@ class Contradiction:
 
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
-    """Return an error message if, in hover, motors give out more power than they take in.
+    """Return an error message if the motors would give out more power in hover than they take in.
 
     Parameters
     ----------
     vehicle : Vehicle
         The vehicle.
     power : Power
-        Power model; only models with electrical motor constants are checked.
+        Power model. For a model without electrical motor constants, nothing is checked.
     gravity : float
         Acceleration of gravity [m/s²].
 
@@ -127,12 +127,14 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     """Yield remarks on numbers of a vehicle that are doubtful but not impossible.
 
-    There are at most two remarks, each a text for the user. The first remark is on the motors: the
-    product of torque constant and voltage constant, both in SI units, must be 1 because of the
-    conservation of energy. The remark is made if the product differs noticeably from 1, but by so
-    little that rounding of the two constants explains the difference. The second remark is on the
-    rotors: it is made if their figure of merit (ideal power divided by shaft power in hover) is
-    unusually high.
+    Each remark is a text for the user. There are at most two.
+
+    The remark on the motors concerns the product of torque constant and voltage constant. In SI
+    units the product is 1, because a motor conserves energy. The remark is made if the product
+    differs from 1 noticeably, but by no more than rounding of the two constants explains.
+
+    The remark on the rotors concerns their figure of merit: ideal power divided by shaft power in
+    hover. The remark is made if the figure of merit is unusually high.
 
     Parameters
     ----------
@@ -172,9 +174,9 @@ def _motor_constants(motor: MotorConstants) -> str:
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
     """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
-    A motor whose torque constant times voltage constant exceeds 1 creates power in the motor model.
-    The copper loss of the motor grows faster with the speed than the created power. Above the
-    returned speed the copper loss exceeds the created power.
+    In the motor model, a motor creates power if torque constant times voltage constant exceeds 1.
+    The copper loss of the motor grows faster with the speed than the created power. The copper loss
+    exceeds the created power above the returned speed.
 
     Parameters
     ----------
@@ -209,13 +211,13 @@ class _Hover:
     start : str
         Beginning of an error message or remark about the power of hover. The text states the drag
         torque coefficient of the rotors and the shaft power.
-    shaft_W, ideal_W : float
-        Power at the shafts of all rotors, and ideal power: the least power that rotors of the same
-        disc area need in hover by momentum theory [W].
+    shaft_W : float
+        Power at the shafts of all rotors [W].
+    ideal_W : float
+        Ideal power [W]: the least power for hover with the rotors' disc area, by momentum theory.
     radius : str
-        Text with the rotor radius [m]. The text also says whether the vehicle's field
-        `rotor_radius` gives the radius, or the radius is the largest at which the rotors do not
-        overlap.
+        Text with the rotor radius [m] and its origin. The origin is the vehicle's field
+        `rotor_radius`, or the largest radius without overlap of the rotors.
     """
 
     start: str
@@ -227,10 +229,20 @@ class _Hover:
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
     """Return the shaft power and the ideal power of a vehicle in hover, with texts for messages.
 
-    `power` is the scenario's table with the power model and the air density, and `gravity` is the
-    acceleration of gravity [m/s²]. The result is None for the power model `momentum`, because this
-    model does not compute the power from the drag torque of the rotors. The result is also None for
-    coaxial rotors without a given radius, because their disc area is not known.
+    Parameters
+    ----------
+    vehicle : Vehicle
+        The vehicle.
+    power : Power
+        Power model and air density.
+    gravity : float
+        Acceleration of gravity [m/s²].
+
+    Returns
+    -------
+    _Hover or None
+        None for the power model `momentum`, which does not use the drag torque of the rotors. Also
+        None for coaxial rotors without a given radius, because their disc area is not known.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors

@@ -175,18 +175,19 @@ class LibraryEntry:
 
     Attributes
     ----------
-    kind, name : str
-        Kind of the entry ("vehicles", "batteries" or "winds"), and its name in the library or the
-        name of the user's file.
+    kind : str
+        Kind of the entry: ``vehicles``, ``batteries`` or ``winds``.
+    name : str
+        Name of the entry in the library, or name of the user's file.
     tables : mapping
         Scenario tables that the entry fills, ``{"vehicle": {...}, "limits": {...}}``.
     sources : mapping
         Source (publication, data sheet) of each number, by dotted scenario field.
     base : LibraryEntry or None
-        Library entry that supplies the values which a user's own file leaves out.
+        Library entry with the values that are missing in a user's own file.
     battery : str
-        Battery pack of a vehicle, used unless the scenario names a battery: a name of the library,
-        or a file in the folder of the vehicle file. Empty if no battery is known.
+        Default battery pack of a vehicle: a name of the library, or a file in the folder of the
+        vehicle file. Empty if no pack is known.
     """
 
     kind: str
@@ -282,12 +283,26 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Make a library entry from the content of its file, `written`.
+    """Make a library entry from the content of its file.
 
-    `kind` is "vehicles", "batteries" or "winds", and `name` the name of the entry or of its file.
-    In the file, a number stands alone or in a table with its source. The new entry contains only
-    the values of this file. `base` is the library entry, if any, that supplies the values which the
-    file leaves out; it becomes the attribute `base` of the new entry.
+    In the file, a number stands alone or in a table with its source.
+
+    Parameters
+    ----------
+    kind : str
+        ``vehicles``, ``batteries`` or ``winds``.
+    name : str
+        Name of the entry in the library, or name of the user's file.
+    written : mapping
+        Content of the file.
+    base : LibraryEntry or None
+        Library entry with the values that are missing in the file. The new entry does not copy
+        these values; its attribute `base` refers to this library entry.
+
+    Returns
+    -------
+    LibraryEntry
+        Entry with the values and sources of the file.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -326,8 +341,8 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
     The file has the structure of the library's files: the sections `fields` and, for a vehicle,
     `limits`. A number stands alone, or as a table of `value` and `source`. At the top of the file,
-    the key `use` names the library entry that supplies the values which the file leaves out, and
-    the key `battery` names the battery pack of a vehicle.
+    the key `use` may name a library entry; this entry supplies the values that are missing in the
+    file. In a vehicle file, the key `battery` may name the battery pack.
 
     Parameters
     ----------
@@ -342,7 +357,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     -------
     LibraryEntry
         Entry with the values and sources of the file. Its attribute `base` is the library entry
-        that the key `use` names, or None without this key.
+        named by the key `use`, or None without this key.
 
     Raises
     ------
@@ -388,9 +403,15 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
     """Yield an error message for each number of a library file that is not written as allowed.
 
-    Allowed are a number alone, and a table that has no other keys than `value` and `source` and
-    stands for one number. `table` is the part of the file to check, with all tables nested in it.
-    `place` is the path of `table` in the file; the messages name each key by its path in the file.
+    A number may stand alone. Otherwise it stands in a table with no other keys than `value` and
+    `source`.
+
+    Parameters
+    ----------
+    table : mapping
+        Part of the file to check, with all nested tables.
+    place : tuple of str
+        Path of `table` in the file, from which the messages name each key.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -443,11 +464,11 @@ class ScenarioSource:
     document : mapping
         The scenario's own tables, before values of the library and overrides are added.
     assignments : mapping
-        New value of each overridden field, by path, in the order in which the overrides were given.
+        New value of each overridden field, by path, in the order of the overrides.
     label : str
-        Name of the overrides in messages and as an origin of values, such as ``--set``.
+        Name of the overrides, such as ``--set``, in messages and in the record of origins.
     is_resolved : bool
-        Whether the tables are already complete, as those of a scenario stored in a report.
+        Whether the tables are already complete, as in a scenario stored in a report.
     """
 
     source: str
@@ -469,9 +490,9 @@ class Resolution:
     provenance : mapping
         Origin of each value, by dotted path.
     complaints : tuple of str
-        A message for each value that could not be determined.
+        An error message for each value that could not be determined.
     unfilled : tuple
-        Paths of the tables and fields that are incomplete because of these errors.
+        Paths of the tables and fields that are incomplete because of an error.
     """
 
     tables: Mapping[str, Any]
@@ -483,10 +504,9 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    A few fields have an initial value, declared in addition to the field's default. A scenario gets
-    the initial value of such a field if its file leaves the field out. A stored, complete scenario
-    gets no initial values. The defaults of all other missing fields are added later, when the
-    tables are validated.
+    A few fields have an initial value besides their default. A new scenario gets the initial value
+    if its file leaves the field out. A stored, complete scenario gets no initial values. The
+    defaults of all other missing fields are added later, by the validation of the tables.
 
     Parameters
     ----------
@@ -498,7 +518,7 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     Returns
     -------
     Resolution
-        The tables, not validated yet, the origin of each value, and the errors found.
+        The tables before validation, the origin of each value, and the errors found.
 
     Raises
     ------
@@ -543,10 +563,9 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     """Return the initial values of a scenario's fields, as nested tables.
 
-    A few fields have an initial value in addition to their default; the result holds these fields
-    only. A scenario gets the initial value if its file leaves the field out. A record (a complete
-    scenario that was stored earlier, for example in a report) gets the field's default instead.
-    `model` is the model class of the scenario.
+    Only a few fields have an initial value besides their default. A new scenario gets the initial
+    value if its file leaves the field out. A stored, complete scenario gets the default instead.
+    `model` is the Pydantic class of the scenario.
     """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
@@ -558,7 +577,9 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
 
 def message_origin(origin: ScenarioSource, provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the origin of a field's value (file, library entry or option), to begin a message.
+    """Return the origin of a field's value, as the beginning of a message.
+
+    The origin is the scenario file, a library entry or an option such as ``--set``.
 
     Parameters
     ----------
@@ -605,7 +626,7 @@ class _Filled:
     origin : ScenarioSource
         The scenario as written.
     own : mapping
-        Tables that contain only values which the user has written.
+        Tables with the user's own values only.
     provenance : dict
         Origin of each value, by dotted path.
     tables : dict
@@ -613,7 +634,7 @@ class _Filled:
     complaints : list of str
         Error messages.
     unfilled : list
-        Paths of the tables and fields that remain incomplete because of these errors.
+        Paths of the tables and fields that remain incomplete because of an error.
     """
 
     origin: ScenarioSource
@@ -626,9 +647,9 @@ class _Filled:
     _pack: tuple[str, str] | None = None
 
     def complain(self, line: str, *places: FieldPath) -> None:
-        """Record an error message, and the paths of tables that stay incomplete because of it.
+        """Record an error message, and the paths of the tables that the error leaves incomplete.
 
-        `line` is the message, and the further arguments, `places`, are the paths.
+        `line` is the message, and `places` are the paths.
         """
         self.complaints.append(line)
         self.unfilled.extend(places)
@@ -637,9 +658,9 @@ class _Filled:
         """Add the values of the library entry that a table of the scenario names by its key `use`.
 
         The key `use` may also name a user's own file with the structure of a library entry. Without
-        this key, the default entry of the table is added; for the battery, this is the battery pack
-        that the entry of the vehicle names. A stored, complete scenario already contains the values
-        of its entries. Nothing is then added, unless an override changes `use`.
+        this key, a default entry is added. The default battery is the pack that the vehicle's entry
+        names. A stored scenario already contains the values of its entries. Nothing is then added,
+        except if an override changes `use`.
 
         Parameters
         ----------
@@ -733,15 +754,15 @@ class _Filled:
         )
 
     def on_earth(self) -> GeodeticOrigin | None:
-        """Return the position of x = y = z = 0 on earth; None if the mission gives no origin."""
+        """Return the position of x = y = z = 0 on earth; None without `mission.origin`."""
         return origin_of_mission(self.tables, self.origin.source)
 
     def add_footprints(self) -> None:
         """Complete the keep-out zones of the table `airspace`.
 
-        The zones in the GeoJSON file that the scenario names by `airspace.file` are added to the
-        zones of the scenario. Then every zone whose polygon is concave is divided into convex
-        parts. If the scenario is a stored, complete scenario, the file is not read again.
+        The field `airspace.file` may name a GeoJSON file. The zones of this file are added to the
+        zones of the scenario. A stored, complete scenario already contains them, so that the file
+        is not read again. Every zone with a concave polygon is then divided into convex parts.
         """
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
@@ -758,10 +779,12 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        If the scenario gives no floor (`airspace.floor`, the least allowed height above the
-        ground), the floor is set to the clearance (`airspace.clearance`, the least allowed distance
-        from keep-out zones; 0 if not given). If the scenario is a stored, complete scenario with
-        the heights, the file is not read again.
+        A stored, complete scenario may already contain the heights. The file is then not read
+        again.
+
+        The function also sets a missing floor, `airspace.floor`, the least allowed height above the
+        ground. The missing floor is set to `airspace.clearance`, the least allowed distance from
+        keep-out zones. It is 0 if the clearance is missing, too.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -780,19 +803,21 @@ class _Filled:
         self.put_read(("airspace", "ground"), ground, file)
 
     def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
-        """Return whether the scenario is a stored one that contains the content of a data file.
+        """Return whether a stored scenario already contains the content of a data file.
 
-        A stored scenario is complete: it contains the content of each data file that was read. Such
-        a data file is not read again, because its name is relative to the folder of the original
-        scenario file, and the stored scenario does not state this folder. If an override changes
-        the data file's name or content, the result is False.
+        A stored scenario contains the content of each data file that was read. Such a data file is
+        not read again: its name is relative to the folder of the original scenario file, and this
+        folder is not stored. The result is False if an override changes the data file's name or
+        content.
 
         Parameters
         ----------
         place : tuple of str
             Path of the table that names the data file.
-        named, content : str
-            Fields of this table for the data file's name and for the data file's content.
+        named : str
+            Field of this table with the data file's name.
+        content : str
+            Field of this table with the data file's content.
         """
         fields = (*place, named), (*place, content)
         is_overridden = any(
@@ -804,13 +829,13 @@ class _Filled:
         return self.origin.is_resolved and has_content and not is_overridden
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield those of the tables `wind` and `wind.forecast` that name a data file.
+        """Yield each of the tables `wind` and `wind.forecast` that names a data file.
 
         Parameters
         ----------
         named : str
-            Field that may contain the file's name: ``file`` (measured wind over time) or ``field``
-            (wind over places).
+            Field with the file's name: ``file`` (measured wind over time) or ``field`` (wind over
+            places).
 
         Yields
         ------
@@ -823,10 +848,10 @@ class _Filled:
                 yield place, wind
 
     def add_wind_fields(self) -> None:
-        """Add the wind fields (wind over places) that are read from data files.
+        """Add the wind fields (wind over places) from data files.
 
         `wind.field` names the file of the actual wind, and `wind.forecast.field` the file of the
-        forecast. Each may be missing.
+        forecast. Each of these fields may be missing.
         """
         for place, wind in self.winds("field"):
             if self.is_recorded(place, "field", "grid"):
@@ -839,12 +864,14 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured winds over time that are read from data files.
+        """Add the measured winds over time from data files.
 
         `wind.file` names the file of the actual wind, and `wind.forecast.file` the file of the
-        forecast. Each may be missing. If the mission's duration is free and has no upper limit, the
-        upper limit is set to the time at which the measured wind ends, counted from the start of
-        the mission. If there are two measured winds, the one that ends first counts.
+        forecast. Each of these fields may be missing.
+
+        A free duration of the mission may have no upper limit. The end of the measured wind,
+        counted from the start of the mission, then becomes the upper limit. Of two measured winds,
+        the one that ends first counts.
         """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []
@@ -869,7 +896,10 @@ class _Filled:
             self.put(field, *min(known))
 
     def add_motor_constants(self) -> None:
-        """Derive a missing torque or voltage constant of the motors: their product is 1 in SI."""
+        """Derive a missing torque or voltage constant of the motors from the other constant.
+
+        The product of the two constants is 1 in SI units.
+        """
         vehicle = table_at(self.tables, "vehicle")
         names = ("torque_constant", "voltage_constant")
         for missing, given in (names, names[::-1]):
@@ -879,26 +909,30 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the name by which a scenario can refer to the battery pack of a vehicle file.
+    """Return the name of a vehicle file's battery pack, as seen from the folder of the scenario.
 
     Parameters
     ----------
     file : str
         Vehicle file, relative to the folder of the scenario.
     pack : str
-        Pack that the vehicle file names: a library name, which is returned unchanged, or a file
-        relative to the folder of the vehicle file. The returned path of such a file is relative to
-        the folder of the scenario.
+        Pack named in the vehicle file: a name of the library, or a file relative to the folder of
+        the vehicle file.
+
+    Returns
+    -------
+    str
+        The unchanged name of the library, or the file relative to the folder of the scenario.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
-    """Return the path of the field that sets an upper limit on the duration, and the limit [s].
+    """Return the path and the value [s] of the field that limits the duration of the mission.
 
-    The field is `mission.duration` if the duration is fixed, and otherwise the field for the
-    greatest duration. A measured wind must cover the flight up to this limit. `tables` are the
-    scenario's tables.
+    The field is `mission.duration` for a fixed duration, and `mission.duration_max` for a free one.
+    The value is None if the field is missing. A measured wind must cover the flight up to this
+    duration. `tables` are the scenario's tables.
     """
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")

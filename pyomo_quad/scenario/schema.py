@@ -168,12 +168,13 @@ class Scenario(Part):
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy of the scenario with some fields changed.
 
+        Limits and other values that follow from a changed field are computed again.
+
         Parameters
         ----------
         values : mapping
             New value of each field by dotted path; ``mission.goal.position[2]`` sets one number of
-            a list. Values that follow from a changed field, such as limits that follow from the
-            rotors' largest speed, are computed again.
+            a list.
 
         Returns
         -------
@@ -237,6 +238,9 @@ class Scenario(Part):
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
         """Return the scenario with a fixed duration and, optionally, passing times of waypoints.
 
+        The copy has no limits on the duration and no price of time. The price of time is the energy
+        that the planner adds for each second of a free duration.
+
         Parameters
         ----------
         duration : float
@@ -247,8 +251,7 @@ class Scenario(Part):
         Returns
         -------
         Scenario
-            Copy without limits on the duration and without a price of time (the energy that the
-            planner adds for each second of a free duration); the same object if nothing changes.
+            Changed copy; the scenario itself if nothing changes.
         """
         if duration == self.mission.duration and not passing_times:
             return self
@@ -290,19 +293,19 @@ class Scenario(Part):
 
     @property
     def nominal_duration(self) -> float:
-        """Prescribed duration or, for a free duration, an estimate used as initial guess [s]."""
+        """Duration of the flight [s]; for a free duration, an estimate for the initial guess."""
         return self.nominal_times[-1]
 
     @property
     def nominal_times(self) -> tuple[float, ...]:
-        """Times at which waypoints are reached and left, and end time [s], prescribed or estimated.
+        """Prescribed or estimated times of the waypoints, and the end time of the flight [s].
 
-        The tuple holds, for each waypoint in order, the time at which the waypoint is reached and
-        the time at which it is left; the last number is the end time of the flight.
+        The tuple holds two times for each waypoint in order: the arrival at the waypoint and the
+        departure from it. The last number is the end time of the flight.
 
-        A leg is the flight from one place (start, waypoint or goal) to the next. The estimated
-        time of a leg is twice the least time of a flight that accelerates over the first half of
-        the leg and decelerates over the second half, with the vehicle's largest acceleration.
+        A leg is the flight from one place (start, waypoint or goal) to the next. The least time of
+        a leg has full acceleration over the first half and full deceleration over the second half.
+        The estimated time of the leg is twice the least time.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -326,11 +329,12 @@ class Scenario(Part):
 
     @property
     def keeps_yaw(self) -> bool:
-        """Whether the heading stays constant throughout the flight.
+        """Whether the plan keeps the heading constant throughout the flight.
 
-        If the power depends on thrust and airspeed only, a turn costs nearly nothing and the best
-        heading is not unique. Unless a heading is prescribed, the plan with such a power model
-        keeps the heading constant, as autopilots do.
+        The field `mission.yaw` decides, if it is given. By default the heading is constant if the
+        power depends on thrust and airspeed only, and if no turn is prescribed. With such a power
+        model a turn costs nearly nothing, and the best heading is not unique. Autopilots keep the
+        heading constant, too. Simplified attitude kinematics do not allow a constant heading.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -346,8 +350,8 @@ class Scenario(Part):
     def release_schedule(self) -> Callable[[float], float]:
         """Return a function of time [s] that gives the mass released so far at waypoints [kg].
 
-        The payload of a waypoint is released at the time at which the flight leaves the waypoint.
-        Without a prescribed time, this is the estimated time in `nominal_times`.
+        The payload of a waypoint is released when the flight leaves the waypoint. A time of
+        departure that is not prescribed is estimated by `nominal_times`.
         """
         left = self.nominal_times[1:-1:2]
         dropped = [
@@ -379,9 +383,8 @@ class Scenario(Part):
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Physical contradictions between the vehicle's numbers.
 
-        A scenario may name a Python function of the user (field `model`) that builds the equations
-        of motion and of power. The result is then empty, because the equations of this function may
-        use other numbers than those of the scenario.
+        The result is empty if the equations come from the user's own Python function (field
+        `model`). Such equations may use other numbers than those of the scenario.
         """
         if self.model is not None:
             return ()
@@ -389,11 +392,10 @@ class Scenario(Part):
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Remarks on numbers of the vehicle that are physically possible but unusually good.
+        """Remarks on numbers of the vehicle that are physically possible but doubtful.
 
-        A scenario may name a Python function of the user (field `model`) that builds the equations
-        of motion and of power. The result is then empty, because the equations of this function may
-        use other numbers than those of the scenario.
+        The result is empty if the equations come from the user's own Python function (field
+        `model`). Such equations may use other numbers than those of the scenario.
         """
         if self.model is not None:
             return ()
@@ -530,9 +532,9 @@ class Scenario(Part):
 def _meaning(name: str) -> str:
     """Return the meaning of a vehicle's field in a few words, for error messages.
 
-    `name` is the name of the field. The result is a part of the field's description: the part
-    begins after the last colon of the description (at its start if it has no colon), and ends
-    before the first comma that follows.
+    `name` is the name of the field. The result is the part of the field's description between the
+    last colon and the next comma. Without a colon it begins at the start, without a comma it ends
+    at the end.
     """
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]
@@ -552,9 +554,10 @@ def _in_declared_units(
 
     Returns
     -------
-    tuple of (ScenarioSource, Rewritten)
-        The scenario with the converted tables and overrides; and a record of the conversions and
-        their errors, whose attribute `tables` is empty.
+    converted : ScenarioSource
+        The scenario with the converted tables and overrides.
+    record : Rewritten
+        Record of the conversions and errors. Its attribute `tables` is empty.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

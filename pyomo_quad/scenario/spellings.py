@@ -1,11 +1,14 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-Two notations are converted. The key `from` of a wind, such as `wind.from = 270`, gives the
-direction from which the wind blows, in degrees clockwise from north. The key becomes the field
-`wind.direction`, the direction toward which the wind blows, in radians counter-clockwise from +x
-(east). A wind from the west, 270 degrees, blows toward +x. A place on earth,
-`{ latitude, longitude, altitude }`, becomes the position `[x, y, z]` in metres. For this
-conversion, the field `mission.origin` gives the latitude, longitude and altitude of x = y = z = 0.
+Two notations are converted:
+
+- The key `from` of a wind, such as `wind.from = 270`, is the direction from which the wind blows,
+in degrees clockwise from north. It becomes the field `wind.direction`, the direction toward which
+the wind blows, in radians counter-clockwise from +x (east). A wind from the west, 270 degrees,
+blows toward +x.
+
+- A place on earth, `{ latitude, longitude, altitude }`, becomes the position `[x, y, z]` in metres.
+The field `mission.origin` gives the latitude, longitude and altitude of x = y = z = 0.
 """
 
 from collections.abc import Iterator, Mapping
@@ -40,8 +43,8 @@ def in_plain_terms(
 ) -> dict[str, Any]:
     """Convert places from latitude and longitude to metres, and `wind.from` to `wind.direction`.
 
-    The field `wind.direction` is the direction toward which the wind blows; the key `from` of a
-    user's file gives the direction from which the wind blows.
+    The field `wind.direction` is the direction toward which the wind blows. The key `from` is the
+    direction from which the wind blows.
 
     Parameters
     ----------
@@ -51,7 +54,7 @@ def in_plain_terms(
         Tables that the user wrote in the scenario and its overrides.
     provenance : dict
         Origin of each value by dotted path. The function adds the origins of converted fields, and
-        removes those of the keys `from`.
+        removes the origins of the keys `from`.
     source : str
         Beginning of error messages: the name of the scenario.
 
@@ -87,11 +90,17 @@ def in_plain_terms(
 
 
 def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield path and value of each field that nested tables state in an alternative notation.
+    """Yield path and value of each field in an alternative notation.
 
     Alternative notations are a place by latitude and longitude, and a wind direction by the key
-    `from`. `tree` is the table or list to search, with everything nested in it. `path` is the path
-    of `tree` in the scenario; every yielded path begins with it.
+    `from`.
+
+    Parameters
+    ----------
+    tree : mapping or list
+        Table or list to search, with everything nested in it.
+    path : tuple of str and int
+        Path of `tree` in the scenario, with which every yielded path begins.
     """
     items: Any = ()
     if isinstance(tree, Mapping):
@@ -140,10 +149,10 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 
 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
-    """Return how many coordinates the place at a path of a scenario has: 2 or 3.
+    """Return the number of coordinates of a place in a scenario: 2 or 3.
 
     `tables` are the scenario's tables, and `path` is the path of the field that gives the place.
-    The corner of a polygon and the centre of a vertical cylinder have x and y only; every other
+    The corner of a polygon and the centre of a vertical cylinder have x and y only. Every other
     place has x, y and z.
     """
     if _CORNERS in path:
@@ -183,7 +192,7 @@ def _towards(value: object, where: str) -> float:
 
 
 def _without(tree: Any, path: FieldPath) -> Any:  # noqa: ANN401  tables of TOML
-    """Return a copy of the nested tables `tree` without the field at a path of keys and indices."""
+    """Return a copy of the nested tables `tree` without the field at `path` (keys and indices)."""
     head, *rest = path
     if isinstance(tree, Mapping):
         if not rest:

@@ -4,12 +4,13 @@ Between the points of the grid the ground is bilinear. A `Surface` is a cubic sp
 below the ground, or nowhere above it.
 
 A surface above the ground is constructed from the spline through the heights. In each cell of the
-grid, spline and ground are polynomials, and the least Bernstein coefficient of spline minus ground
-is a lower bound of this difference. If the least coefficient is negative, all B-spline
-coefficients that influence the cell are raised by its magnitude. Bernstein coefficients are
-averages of B-spline coefficients, so that no Bernstein coefficient of the cell remains negative.
-For a surface below the ground, the heights are multiplied by -1, a surface above the resulting
-ground is constructed in the same way, and its heights are multiplied by -1 again.
+grid, spline minus ground is a polynomial. The least Bernstein coefficient of the polynomial is a
+lower bound of its values. If this bound is negative, all B-spline coefficients that influence the
+cell are raised by the magnitude of the bound. Bernstein coefficients are averages of B-spline
+coefficients and rise with them, so that none remains negative.
+
+A surface below the ground is the mirror image of a surface above the mirrored ground. Mirroring
+multiplies the heights by -1.
 """
 
 from dataclasses import dataclass
@@ -41,13 +42,14 @@ _SHARES = (*(0.3,) * 10, 1.0)
 class Surface:
     """Cubic spline surface above or below the terrain, from which height limits are measured.
 
+    The surface is the not-a-knot spline through its heights at the points of the grid.
+
     Attributes
     ----------
     x, y : ndarray
         Points of the grid [m], at least four each.
     heights : ndarray, shape (len(x), len(y))
-        Heights of the surface at the points of the grid [m]; the surface is the not-a-knot spline
-        through them.
+        Heights of the surface at the points of the grid [m].
     excess : float
         Upper bound on the vertical distance between surface and ground, over the whole grid [m].
     """
@@ -60,13 +62,13 @@ class Surface:
     def at(self, places: ArrayLike) -> FloatArray:
         """Return the height of the surface at places [m].
 
-        Outside the grid, where the ground is not known, the height at the nearest place of the
-        grid's border is returned, so that figures can show the surroundings of the grid.
+        The ground outside the grid is not known. There the result is the height at the nearest
+        place on the border of the grid, for figures that show the surroundings.
 
         Parameters
         ----------
         places : array_like, shape (..., 2) or (..., 3)
-            Positions x, y and perhaps z, which is ignored [m].
+            Positions x, y and optionally z [m]. The coordinate z is ignored.
 
         Returns
         -------
@@ -111,8 +113,7 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     def above(spline: FloatArray) -> FloatArray:
         """Return the Bernstein coefficients of spline minus ground in each cell of the grid.
 
-        Here the ground is the terrain or, for a surface below the terrain, its mirror image at the
-        height 0.
+        For a surface below the terrain, the ground is mirrored: its heights are multiplied by -1.
 
         Parameters
         ----------
@@ -122,8 +123,8 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
         Returns
         -------
         ndarray, shape (len(x) - 1, len(y) - 1, 4, 4)
-            Bernstein coefficients [m]. The first two array axes are the cells along x and y, the
-            last two the coefficients of one cell along x and y.
+            Bernstein coefficients [m]. The first two array axes are the cells along x and y. The
+            last two are the coefficients of one cell along x and y.
         """
         found = (along_y.cubic @ (along_x.cubic @ spline).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
@@ -140,9 +141,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
     """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
-    Interpolated bilinearly at any place, the returned heights are at least the height of the ground
-    anywhere below the straight line from this place to the home. Derivation:
-    docs/theory/homing.md, eq. (7).
+    Between the points, the returned heights are interpolated bilinearly. The interpolated height at
+    a place is at least the height of the ground anywhere on the straight line from this place to
+    the home. Derivation: docs/theory/homing.md, eq. (7).
 
     Parameters
     ----------
@@ -151,7 +152,7 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
     heights : ndarray, shape (len(x), len(y))
         Heights of the ground at the points [m]; between them the ground is bilinear.
     home : array_like
-        Coordinates x and y of the place to which the vehicle returns [m]; further coordinates are
+        Coordinates x and y of the place to which the vehicle returns [m]. Further coordinates are
         ignored.
 
     Returns
@@ -226,9 +227,19 @@ def _through(
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Return knots and B-spline coefficients of the not-a-knot cubic spline through heights.
 
-    `x` and `y` are the coordinates of the grid points [m], at least four each; `heights`, shape
-    (len(x), len(y)), are the heights at these points [m]. The knots are a pair of arrays, along x
-    and y [m]; the coefficients have the shape of `heights`.
+    Parameters
+    ----------
+    x, y : ndarray
+        Coordinates of the grid points [m], at least four each.
+    heights : ndarray, shape (len(x), len(y))
+        Heights at the grid points [m].
+
+    Returns
+    -------
+    knots : tuple of two ndarray
+        Knots along x and along y [m].
+    coefficients : ndarray, shape (len(x), len(y))
+        B-spline coefficients [m].
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for terrain alone
 
@@ -275,7 +286,8 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return, for each spline coefficient, the greatest value of the cells that it influences.
+        """Return, for each spline coefficient, the greatest value of the cells that the coefficient
+        influences.
 
         Parameters
         ----------

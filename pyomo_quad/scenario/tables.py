@@ -215,7 +215,7 @@ class Baseline(Part):
     def cruise_settings(self, speed: float) -> CruiseSettings:
         """Return largest speed, acceleration and jerk of the baseline flight `cruise`.
 
-        The largest speed is `speed` [m/s]; the other two values are fields of this table.
+        The largest speed is `speed` [m/s]. Acceleration and jerk are fields of this table.
         """
         return CruiseSettings(
             speed=speed, acceleration=self.cruise_acceleration, jerk=self.cruise_jerk

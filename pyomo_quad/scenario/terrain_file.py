@@ -52,21 +52,21 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin, optional
-        Position of x = y = z = 0 on earth. If given, the file's heights are altitudes above the
-        sea, otherwise heights above z = 0.
+        Position of x = y = z = 0 on earth. With an origin, the heights in the file are altitudes
+        above the sea. Without an origin they are heights above z = 0.
 
     Returns
     -------
     dict
         Fields of the scenario's table `airspace.ground`: the coordinates `x` and `y` of the grid
-        points [m], and the `heights` of the ground above z = 0 [m], encoded as text by `packed`
-        (compressed, in base 64).
+        points [m], and the `heights` of the ground above z = 0 [m]. The heights are compressed and
+        encoded as base64 text by the function `packed`.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has no rectilinear grid, lacks a height, or has too many heights
-        or an implausible one. The message of the error is a single line.
+        If the file cannot be read, has no rectilinear grid, lacks a height, has too many heights or
+        has an implausible height. The message of the error is a single line.
     """
     read = read_gridded(file, place, _HEIGHT)
     field = in_metres(read, origin, place)

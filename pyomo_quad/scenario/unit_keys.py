@@ -1,8 +1,8 @@
 """Conversion of values in other units, given by keys such as `roll_max_deg`, to SI units.
 
-A field is declared in SI units by the Pydantic class of its table; a key such as `roll_max_deg`
-states the field `roll_max` in degrees. The conversion is the first step when a scenario is read, so
-that all later steps handle only declared fields.
+The Pydantic class of a table declares each field in SI units. A key such as `roll_max_deg` states
+the field `roll_max` in degrees. The conversion is the first step when a scenario is read. All later
+steps handle only declared fields.
 """
 
 from collections.abc import Iterator, Mapping
@@ -68,16 +68,17 @@ def paths_in_declared_units(
     Parameters
     ----------
     assignments : mapping
-        New value of each overridden field, by path; a key such as `roll_max_deg` at the end of the
+        New value of each overridden field, by path. A key such as `roll_max_deg` at the end of the
         path states another unit.
     model : type of BaseModel
         Pydantic class that declares the fields, and the keys for other units.
 
     Returns
     -------
-    tuple of (dict, Rewritten)
-        The new values in SI units, by the path of the field; and a record of the conversions and
-        the errors found, whose attribute `tables` is empty.
+    converted : dict
+        The new values in SI units, by the path of the field.
+    record : Rewritten
+        Record of the conversions and errors. Its attribute `tables` is empty.
     """
     rewritten, found = Rewritten(tables={}), {}
     for path, value in assignments.items():

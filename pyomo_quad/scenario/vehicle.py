@@ -50,13 +50,16 @@ _LEAST_VOLUME = 1e-6
 
 
 def _volume(*rows: Sequence[float]) -> float:
-    """Return the squared volume that three vectors, `rows`, span: their Gram determinant.
+    """Return the Gram determinant of three vectors: the squared volume that they span.
 
-    Each vector has one number for each rotor. The first two vectors are the rotors' coordinates
-    along body x and along body y, as fractions of the largest arm. The third vector has the
-    directions of rotation, 1 or -1. The three numbers of a rotor are proportional to the moments
-    that this rotor produces about the three body axes. A determinant near zero shows that the
-    rotors cannot turn the vehicle about every axis.
+    A determinant near zero shows that the rotors cannot turn the vehicle about every axis.
+
+    Parameters
+    ----------
+    *rows : sequence of float
+        Three vectors, each with one number for each rotor: the rotors' coordinates along body x and
+        along body y, as fractions of the largest arm, and their directions of rotation, 1 or -1.
+        The three numbers of a rotor are proportional to its moments about the body axes.
     """
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
@@ -361,7 +364,10 @@ class Vehicle(Part):
 
     @property
     def has_own_rotors(self) -> bool:
-        """Whether the arrangement of the rotors differs from four in a cross along body x and y."""
+        """Whether the scenario gives its own positions or directions of rotation of the rotors.
+
+        The default is four rotors in a cross along body x and y.
+        """
         return self.rotor_positions is not None or self.rotor_spins is not None
 
     @property
@@ -374,7 +380,7 @@ class Vehicle(Part):
 
     @property
     def motor(self) -> MotorConstants | None:
-        """Electrical constants of the motors; None unless all of these constants are known.
+        """Electrical constants of the motors; None if one of them is unknown.
 
         The constants are the torque constant, the speed per voltage and the resistance.
         """

@@ -402,7 +402,7 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield an error message if the wind at a place is missing at all times of the wind field.
+        """Yield an error message if the wind field has no wind at a place at any time.
 
         The wind is missing outside the grid of the field, and where the file has no value.
 
@@ -496,16 +496,16 @@ def with_air_density(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        Tables of a complete scenario of which `tables` is a changed copy. The coefficients in
-        `tables` then refer to the air density of `before`. None for a new scenario, whose
+        Tables of the complete scenario from which `tables` was copied and changed. The coefficients
+        in `tables` refer to the air density of `before`. None for a new scenario, whose
         coefficients refer to the air density at sea level.
     provenance : dict
-        Origin of each value by dotted path; the function changes the entries of scaled values.
+        Origin of each value by dotted path. The function changes the origins of scaled values.
 
     Returns
     -------
     dict
-        The tables with scaled coefficients and with the density for the power model.
+        The tables with scaled coefficients, and with the air density as a field of the power model.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:
@@ -537,22 +537,20 @@ _DRAG = (
 def with_coupling(
     tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Set the wind's coupling, its effect on the vehicle, where the scenario does not give it.
+    """Set how the wind acts on the vehicle (the wind's coupling) if the scenario does not give it.
 
     By default the wind acts through the drag, which depends on the airspeed. A vehicle without drag
-    coefficients would not feel the wind; its default coupling is the acceleration of eq. (9) of
-    Yacef et al. as printed. The forecast has the same coupling as the wind, unless the scenario
-    gives the forecast a coupling of its own.
+    coefficients would not feel the wind. Its default coupling is the acceleration of eq. (9) of
+    Yacef et al. as printed. The forecast has the coupling of the wind by default.
 
     Parameters
     ----------
     tables : dict
-        Tables of the scenario. They also hold the values that the scenario takes from the package's
-        library, for example from a library vehicle that the scenario names.
+        Tables of the scenario, with values from the package's library.
     own : mapping
         Tables that the user wrote in the scenario and its overrides.
     provenance : dict
-        Origin of each value by dotted path; the function adds entries.
+        Origin of each value by dotted path. The function adds the origins of the couplings.
 
     Returns
     -------

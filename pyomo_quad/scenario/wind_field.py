@@ -57,10 +57,9 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Returns
     -------
     dict
-        Fields of the scenario's table `wind.grid`: the grid points along each axis (`x`, `y` and,
-        if the file has them, `z` and `times`), in metres from the origin and in seconds, and the
-        wind velocities `speeds` at the grid points [m/s]. The array of velocities is compressed and
-        encoded as base64 text.
+        Fields of the scenario's table `wind.grid`. The grid points are `x` and `y` [m] and, if the
+        file has them, `z` [m] and `times` [s]. The wind velocities at the grid points are `speeds`
+        [m/s], compressed and encoded as base64 text.
 
     Raises
     ------

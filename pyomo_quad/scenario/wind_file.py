@@ -41,24 +41,23 @@ def read_wind_file(
     where : str
         Beginning of error messages: the scenario field that names the file.
     longest : tuple of str and object
-        Dotted path of the scenario field that sets the mission's duration, or the upper limit on a
-        free duration; and the value of this field [s].
+        Dotted path and value [s] of the scenario field that limits the duration of the mission.
     time_offset : object
-        Time in the file [s] at which the mission starts. A value that is not a number, here or in
-        `longest`, is refused later by the validation of the scenario.
+        Time in the file [s] at which the mission starts. The validation of the scenario, a later
+        step, refuses a duration or offset that is not a number.
 
     Returns
     -------
     dict
         `times` [s], `wind_x` and `wind_y` [m/s] and, if the file has heights, `heights` [m]. The
-        winds are listed time by time, and by rising height at each time. Without times in the
-        file, `times` is empty.
+        winds are listed time by time, and at each time by rising height. `times` is empty if the
+        file has no times.
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has gaps, unsorted times or heights, missing or non-finite
-        numbers, or does not cover the mission.
+        If the file cannot be read, has unsorted, missing or non-finite numbers, has a gap in time,
+        or does not cover the mission.
     """
     place = f"{where} = {shown(file.name)}"
     keys, rows = _read_rows(file, place)
@@ -128,7 +127,7 @@ def _check_times(times: tuple[float, ...], place: str) -> None:
 def check_cover(
     times: Sequence[float], start: float, field: str, duration: float, place: str
 ) -> None:
-    """Raise an error unless a measured wind covers the mission from its start to its end.
+    """Raise a ScenarioError if a measured wind does not cover the whole mission.
 
     Parameters
     ----------
@@ -137,8 +136,8 @@ def check_cover(
     start : float
         Time in the measured wind [s] at which the mission starts.
     field : str
-        Dotted path of the scenario field that sets the mission's duration or the upper limit on a
-        free duration. The error message suggests a smaller value of this field.
+        Dotted path of the scenario field that limits the duration of the mission. The error message
+        suggests a smaller value of this field.
     duration : float
         Longest duration of the mission [s].
     place : str
@@ -166,9 +165,10 @@ def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
 
     Returns
     -------
-    tuple of (tuple of str, list of tuple of float)
-        Names of the columns that precede the wind velocities (time, height or both); and the
-        numbers of each row, in the order of the file's columns.
+    keys : tuple of str
+        Names of the columns before the wind velocities: time, height or both.
+    rows : list of tuple of float
+        Numbers of each row, in the order of the file's columns.
     """
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:
