@@ -761,8 +761,8 @@ class _Filled:
         """Complete the keep-out zones of the table `airspace`.
 
         The field `airspace.file` may name a GeoJSON file. The zones of this file are added to the
-        zones of the scenario. A stored, complete scenario already contains them, so that the file
-        is not read again. Every zone with a concave polygon is then divided into convex parts.
+        zones of the scenario. The file of a stored, complete scenario is not read again. Every zone
+        with a concave polygon is then divided into convex parts.
         """
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):

@@ -332,9 +332,9 @@ class Scenario(Part):
         """Whether the plan keeps the heading constant throughout the flight.
 
         The field `mission.yaw` decides, if it is given. By default the heading is constant if the
-        power depends on thrust and airspeed only, and if no turn is prescribed. With such a power
-        model a turn costs nearly nothing, and the best heading is not unique. Autopilots keep the
-        heading constant, too. Simplified attitude kinematics do not allow a constant heading.
+        power model is `momentum`, the attitude kinematics are exact and no turn is prescribed. In
+        this power model a turn costs nearly nothing, so that the best heading is not unique.
+        Autopilots keep the heading constant, too.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT

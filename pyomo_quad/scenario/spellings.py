@@ -1,14 +1,14 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-Two notations are converted:
+Two notations are converted: a wind direction by the key `from`, and a place on earth.
 
-- The key `from` of a wind, such as `wind.from = 270`, is the direction from which the wind blows,
-in degrees clockwise from north. It becomes the field `wind.direction`, the direction toward which
-the wind blows, in radians counter-clockwise from +x (east). A wind from the west, 270 degrees,
-blows toward +x.
+The key `from` of a wind, such as `wind.from = 270`, is the direction from which the wind blows, in
+degrees clockwise from north. The key is replaced by the field `wind.direction`, the direction
+toward which the wind blows, in radians counter-clockwise from +x (east). A wind from the west, 270
+degrees, blows toward +x.
 
-- A place on earth, `{ latitude, longitude, altitude }`, becomes the position `[x, y, z]` in metres.
-The field `mission.origin` gives the latitude, longitude and altitude of x = y = z = 0.
+A place on earth, `{ latitude, longitude, altitude }`, is replaced by the position `[x, y, z]` in
+metres. The field `mission.origin` gives the latitude, longitude and altitude of x = y = z = 0.
 """
 
 from collections.abc import Iterator, Mapping

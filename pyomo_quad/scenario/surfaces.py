@@ -286,8 +286,7 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return, for each spline coefficient, the greatest value of the cells that the coefficient
-        influences.
+        """Return the greatest value among the cells that each spline coefficient influences.
 
         Parameters
         ----------
@@ -297,7 +296,7 @@ class _Axis:
         Returns
         -------
         ndarray, shape (n, ...)
-            Value for each coefficient.
+            Greatest value for each coefficient.
         """
         found = np.zeros((of_cells.shape[0] + 1, *of_cells.shape[1:]))
         for k in range(_CUBIC + 1):

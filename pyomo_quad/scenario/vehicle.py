@@ -364,7 +364,7 @@ class Vehicle(Part):
 
     @property
     def has_own_rotors(self) -> bool:
-        """Whether the scenario gives its own positions or directions of rotation of the rotors.
+        """Whether positions or directions of rotation of the rotors are given for the vehicle.
 
         The default is four rotors in a cross along body x and y.
         """

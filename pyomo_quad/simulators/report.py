@@ -28,11 +28,10 @@ _CAUSES_ABREAST = 3
 def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw the distance of simulated flights from their plan over time.
 
-    RotorPy's model differs from the package's own model in several features. Each line is a flight
-    in RotorPy. Most lines have one of these differences alone, so that the effect of each
-    difference can be seen; for comparison, one line has none of them, and one has RotorPy's own
-    defaults. The first panel has flights without feedback, the second panel flights under the
-    adaptive controller.
+    RotorPy's model differs from the package's own model in several features. Each line is one
+    flight in RotorPy. Most lines have exactly one of the differences and show its effect. For
+    comparison, one line has no difference, and one has RotorPy's own defaults. The first panel has
+    flights without feedback, the second panel flights under the adaptive controller.
 
     Parameters
     ----------

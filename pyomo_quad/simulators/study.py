@@ -1,9 +1,10 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
-The same plans are flown by the package's own vehicle model (the "declared" vehicle) and by
-RotorPy's vehicle, with the package's controller, with RotorPy's controller SE3, and without
-feedback. The features in which RotorPy's model differs are switched on or off one at a time, to
-find the contribution of each feature to the difference between the flights.
+The plans of the missions are flown by the package's own vehicle model (the "declared" vehicle) and
+by RotorPy's vehicle. Each plan is flown with the package's controller and without feedback, and in
+RotorPy also with RotorPy's controller SE3. RotorPy's model differs from the package's model in
+several features. Each feature is switched on or off alone, to find its contribution to the
+difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -82,9 +83,9 @@ Track = tuple[np.ndarray, np.ndarray]
 class Plant(StrEnum):
     """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
 
-    `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation with settings that make
-    it obey the same equations. `AS_IT_COMES` is RotorPy's simulation with its own defaults. Each
-    further member differs from `ROTORPY` in the feature that its value names.
+    `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation with settings for the
+    equations of the package's model. `AS_IT_COMES` is RotorPy's simulation with its own defaults.
+    Each further member differs from `ROTORPY` in the feature that its value names.
     """
 
     DECLARED = "declared"
@@ -168,8 +169,8 @@ class OutsideStudy:
         One row for each flight, in RotorPy or in the package's own model, with the columns of
         `OutsideColumn`.
     tracks : mapping
-        Times [s] and distances from the plan [m] of each flight that follows a plan; the key is
-        mission, vehicle and controller.
+        Array of times [s] and array of distances from the plan [m], for each flight that follows a
+        plan. The key is the triple of mission, vehicle and controller.
     lag_s : float
         Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
     """
@@ -216,9 +217,10 @@ class Arrivals(NamedTuple):
     ----------
     arrived : int
         Number of flights that are confirmed and have arrived.
-    confirmed, unconfirmed : int
-        Number of flights that are confirmed, whether they have arrived or not, and number of
-        flights that are not confirmed.
+    confirmed : int
+        Number of all confirmed flights, with or without arrival.
+    unconfirmed : int
+        Number of flights that are not confirmed.
     """
 
     arrived: int
@@ -229,8 +231,8 @@ class Arrivals(NamedTuple):
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
     """Count the flights of one controller in RotorPy, by their outcome.
 
-    A flight counts as confirmed if a simulation by a second integrator gives the same result. Of
-    the confirmed flights, those that arrived at the goal are counted, too.
+    A flight is confirmed if a simulation by a second integrator gives the same result. Arrivals at
+    the goal are counted among the confirmed flights only.
 
     Parameters
     ----------
@@ -476,12 +478,17 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights whose commanded position jumps from start to goal at once.
 
-    Each yielded object describes one flight and holds the function that simulates the flight. All
-    flights have the mission `mission`. The first flight is of the package's own vehicle model under
-    the adaptive controller. The other four are in RotorPy, with two vehicles and two controllers.
-    The first vehicle is `limited`, RotorPy's vehicle with the scenario's upper limit on the
-    absolute rotor acceleration; the second is the same vehicle without this limit. The controllers
-    are the adaptive one and RotorPy's SE3. The comparison shows the effect of the limit.
+    The flights show the effect of an upper limit on the rotor acceleration. The first flight is of
+    the package's own vehicle model under the adaptive controller. Four flights in RotorPy follow:
+    with and without the limit, each under the adaptive controller and under RotorPy's SE3. Each
+    description holds the function that simulates its flight.
+
+    Parameters
+    ----------
+    mission : _Mission
+        Mission of all flights.
+    limited : OutsidePlant
+        RotorPy's vehicle with the scenario's limit on the absolute rotor acceleration.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -493,11 +500,11 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
 
-    Each yielded object describes one flight in RotorPy and holds the function that simulates the
-    flight. In two flights, along a smooth reference trajectory and along the plan, the controller
-    has larger gains. In a third flight, along the smooth trajectory, it has the usual gains and a
-    feedforward of the aerodynamic force. `mission` is the mission of all flights, and `plant` the
-    simulated vehicle.
+    All flights are in RotorPy under SE3. In two flights the controller has larger gains: along a
+    smooth reference trajectory, and along the plan. In a third flight, along the smooth trajectory,
+    the controller has its usual gains and a feedforward of the aerodynamic force. Each description
+    holds the function that simulates its flight. `mission` is the mission of all flights, and
+    `plant` the simulated vehicle.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -510,10 +517,16 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    The returned path has the positions and velocities of the given path `path`. Its accelerations
-    are those of `path` minus (aerodynamic force / mass). A controller that follows the returned
-    path thus compensates the aerodynamic force. `path` is the reference position, velocity and
-    acceleration as a function of time. `plant` is the vehicle whose equations give the force.
+    The returned path has the positions and velocities of `path`. Its accelerations are those of
+    `path` minus the aerodynamic force divided by the mass. A controller that follows the returned
+    path thus compensates the aerodynamic force.
+
+    Parameters
+    ----------
+    path : callable
+        Reference position, velocity and acceleration as a function of time.
+    plant : OutsidePlant
+        Vehicle whose equations give the aerodynamic force.
     """
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
@@ -531,13 +544,13 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 
 
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
-    """Yield descriptions of flights of one of RotorPy's vehicles, in both models.
+    """Yield descriptions of flights of one of RotorPy's vehicles, in both simulation models.
 
-    The models are RotorPy's and the package's own. Each yielded object describes one flight and
-    holds the function that simulates the flight. All flights follow the plan of `mission`, a
-    mission of this vehicle: under the adaptive controller, under RotorPy's controller SE3 (in
-    RotorPy only), and without feedback. In one more flight under SE3, the heading of the plan is
-    turned by the angle between the body axes of the two models.
+    The models are RotorPy's and the package's own. All flights follow the plan of `mission`, a
+    mission of this vehicle. In both models, one flight is without feedback and one under the
+    adaptive controller. Two more flights in RotorPy are under RotorPy's controller SE3. In one of
+    them the heading of the plan is turned by the angle between the body axes of the two models.
+    Each description holds the function that simulates its flight.
     """
     theirs = OutsidePlant(
         mission.scenario,
@@ -563,8 +576,8 @@ def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield descriptions of flights that show the effect of the point at which drag acts.
 
     In RotorPy the drag acts at the rotors, in the package's model at the centre of mass. The plan
-    of `mission` is flown in both models, under adaptive control and without feedback. Each yielded
-    object describes one flight and holds the function that simulates the flight.
+    of `mission` is flown in both models, under adaptive control and without feedback. Each
+    description holds the function that simulates its flight.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
@@ -582,11 +595,11 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row also compares a flight in RotorPy with an earlier flight of the package's own model
-    along the same reference trajectory. This earlier flight is under the same controller or, if
-    there is none under the same controller, under the adaptive controller. The row contains the
-    difference of the energies in percent, and the distance between the final positions of the two
-    flights. A flight of the package's own model is compared with itself.
+    The row compares a flight in RotorPy with an earlier flight of the package's own model along the
+    same reference trajectory. The earlier flight is under the same controller if there is one, and
+    otherwise under the adaptive controller. The row contains the difference of the two energies in
+    percent, and the distance between the two final positions. A flight of the package's own model
+    is compared with itself.
 
     Parameters
     ----------
@@ -599,8 +612,8 @@ def _rows(
     Yields
     ------
     dict, Flown, Flight or None
-        Values by column name, the description of the flight, and the simulated flight (None if the
-        flight went out of control).
+        Values by column name, the description of the flight, and the simulated flight. The last is
+        None if the flight went out of control.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

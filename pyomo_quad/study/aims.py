@@ -4,8 +4,8 @@ The energy is what the vehicle takes from the terminals of its battery. The char
 loss in the battery, where the current heats the internal resistance. Variations of the power
 increase this loss, so that the two objectives may have different optima.
 
-The scenario's field `mission.aim` selects the objective of a plan. This module solves the mission
-for the other of the two objectives, on the same mesh, and tabulates both plans.
+The scenario's field `mission.aim` selects the objective of a plan. This module also solves the
+mission for the objective that is not selected, on the mesh of the plan, and tabulates both plans.
 """
 
 from typing import TYPE_CHECKING
@@ -56,10 +56,10 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The objectives are least energy and least charge; the scenario's field `mission.aim` selects
-    one of them. The mission is solved for the other objective on the mesh of the given plan, with a
-    warm start from the given plan and without mesh refinement. The resulting plan is checked by a
-    simulation, as the given plan was. The solve is stopped after ten seconds of processor time.
+    The two objectives are least energy and least charge. The scenario's field `mission.aim` selects
+    the objective of the given plan. The mission is solved for the other objective on the mesh of
+    the given plan, without mesh refinement. The given plan is the initial guess. A simulation
+    checks the result. The solve is stopped after ten seconds of processor time.
 
     Parameters
     ----------
@@ -74,10 +74,10 @@ def energy_and_charge(
     -------
     DataFrame
         One row for each of the two plans, the plan of least energy first, with the columns
-        `AimColumn`. The table is empty if a simulation did not confirm the given plan to the
-        requested accuracy, if the objective of the given plan is the least time, or if the solve
-        for the other objective fails. It is also empty if the vehicle model is a user's own, or has
-        the attitude equations of Yacef et al. (`vehicle.attitude` is "paper").
+        `AimColumn`. The table is empty in each of these cases: no simulation confirmed the given
+        plan to the requested accuracy; the objective of the given plan is the least time; the solve
+        for the other objective fails; the vehicle model is a user's own; the attitude equations are
+        those of Yacef et al. (`vehicle.attitude` is "paper").
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
@@ -98,11 +98,10 @@ def energy_and_charge(
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
-    """Return the relative excess charge of the plan of least energy over the least charge.
+    """Return the excess charge of the plan of least energy, as a fraction of the least charge.
 
-    Both plans, of least energy and of least charge, fly the same mission. The result is
-    (charge of the plan of least energy - least charge) / least charge. `aims` is a table from
-    `energy_and_charge` that is not empty.
+    The result is (charge of the plan of least energy - least charge) / least charge. `aims` is a
+    table from `energy_and_charge` that is not empty.
     """
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)
@@ -120,8 +119,8 @@ def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        The warning, if the plan of least energy draws more charge than the plan of least charge by
-        more than the fraction `DISAGREEMENT` (a constant of this module); otherwise empty.
+        The warning, or empty. There is a warning if the plan of least energy exceeds the least
+        charge by more than the fraction `DISAGREEMENT`, a constant of this module.
     """
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()

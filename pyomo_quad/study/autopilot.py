@@ -1,16 +1,17 @@
 """Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
 A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
-limit on acceleration and one on jerk. The module `flight.routes` computes this motion. The energy
-that a plan saves in comparison with an autopilot says little unless the three settings of the
-autopilot (speed, acceleration and jerk) are good. Nelder and Mead's method therefore searches for
-the settings with which the autopilot needs the least energy. Each flight of the search is simulated
-under the controller; a flight that breaks a limit of the vehicle or misses the goal is penalised.
-One triple of settings serves the whole mission.
+limit on acceleration and one on jerk. The module `flight.routes` computes this motion.
 
-Where all legs are long compared with the distance over which the vehicle reaches its speed, the
-energy is nearly the energy of steady flight. The search then begins at the speed of least energy
-per metre in steady flight, and tries speeds near it.
+A plan saves energy in comparison with an autopilot. The saving means little if the three settings
+of the autopilot (speed, acceleration and jerk) are poor. Nelder and Mead's method therefore
+searches for the settings of least energy. Each flight of the search is simulated under the
+controller. A flight that breaks a limit of the vehicle or misses the goal is penalised. One triple
+of settings serves the whole mission.
+
+If all legs are long compared with the distance of acceleration, the energy is nearly the energy of
+steady flight. The search then begins at the speed of least energy per metre in steady flight, and
+tries speeds near it.
 """
 
 from dataclasses import dataclass, replace
@@ -90,11 +91,9 @@ class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
     The settings are limits on speed, acceleration and jerk. The flight is simulated at reduced
-    accuracy. The results are the largest speed and acceleration of the flight's reference
-    trajectory, the duration and the energy of the flight, the limits that the flight breaks,
-    whether the flight arrives (ends near the goal and nearly at rest), and its cost. The cost is
-    what the search minimises: the energy, increased by a penalty if the flight breaks a limit or
-    does not arrive.
+    accuracy. A flight has arrived if it ends near the goal and nearly at rest. The cost of the
+    flight is what the search minimises: the energy, increased by a penalty if the flight breaks a
+    limit or does not arrive.
     """
 
     settings: CruiseSettings
@@ -123,10 +122,9 @@ class Tuning:
     flight : Flight
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
-        The best settings: limits on speed, acceleration and jerk. If the flight's reference
-        trajectory does not reach the limit on speed or acceleration that the search tried, this
-        limit is lowered to the largest value that the trajectory reaches. The flight is the same
-        with the lowered limits.
+        The best settings: limits on speed, acceleration and jerk. On short legs, the reference
+        trajectory may not reach the limit on speed or acceleration. Such a limit is lowered to the
+        largest value that the trajectory reaches. This does not change the flight.
     tried : tuple of TriedCruise
         All settings that the search tried, in the order tried.
     """
@@ -141,9 +139,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The autopilot waits at the goal until the vehicle has arrived near the goal and is nearly at
-    rest. It waits at most for the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. In a
-    mission of fixed duration it waits at least to the end of the mission.
+    The autopilot waits at the goal until the vehicle is near the goal and nearly at rest. The wait
+    is at most the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. In a mission of
+    fixed duration, the autopilot waits at least to the end of the mission.
 
     Parameters
     ----------
@@ -152,8 +150,9 @@ def fly_cruise(
     settings : CruiseSettings
         Limits on speed, acceleration and jerk.
     plan : Plan or None
-        Plan of the mission. Its costates give an estimate of the energy that the vehicle still
-        needs from the end of the flight to the exact goal state; None for no estimate.
+        Plan of the mission. Its costates (sensitivities of the energy to the state) give an
+        estimate of the energy from the end of the flight to the exact goal state. None for no
+        estimate.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
@@ -174,18 +173,25 @@ def _with_longest_wait(
 ) -> tuple[Scenario, Dynamics]:
     """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
 
-    The wait is the longest in `SETTLINGS_S`, a tuple of waiting times [s]. `fly_cruise` and the
-    search for settings simulate this flight first, in order to find the time at which the vehicle
-    arrives. `scenario` is the mission, `settings` are the autopilot's limits on speed, acceleration
-    and jerk, and `planner` holds the compiled equations.
+    The wait is the longest in `SETTLINGS_S`, a tuple of waiting times [s]. This flight is simulated
+    first, to find the time at which the vehicle arrives.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    settings : CruiseSettings
+        The autopilot's limits on speed, acceleration and jerk.
+    planner : Planner
+        Holds the compiled equations.
 
     Returns
     -------
     Scenario
-        The mission, with the times at which this flight passes the waypoints, and with the duration
-        of this flight.
+        The mission, with the duration and the passing times of waypoints of the flight with the
+        wait.
     Dynamics
-        Dynamics of the vehicle in this scenario.
+        Dynamics of the vehicle in this mission.
     """
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
@@ -200,13 +206,21 @@ def _least(scenario: Scenario) -> float:
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
     """Return the time at which a simulated flight of an autopilot can end [s].
 
-    The flight can end when the vehicle has arrived: it is near the goal and nearly at rest. `flown`
-    is the flight, simulated with a long wait at the goal after the autopilot's reference trajectory
-    has reached it. The result is the first time in `flown` at which the vehicle has arrived, but
-    not earlier than the time at which the reference trajectory reaches the goal and, in a mission
-    of fixed duration, not earlier than the end of the mission. If the vehicle does not arrive, the
-    result is the last time in `flown`. `scenario` is the mission, `settings` are the autopilot's
-    limits on speed, acceleration and jerk, and `dynamics` names the states in `flown`.
+    The flight can end when the vehicle is near the goal and nearly at rest. It must not end before
+    the reference trajectory reaches the goal. In a mission of fixed duration, it must not end
+    before the end of the mission, either. If the vehicle does not arrive, the result is the last
+    time in `flown`.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    settings : CruiseSettings
+        The autopilot's limits on speed, acceleration and jerk.
+    flown : Flown
+        The flight, simulated with a long wait at the goal.
+    dynamics : Dynamics
+        Gives the names of the states in `flown`.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -232,8 +246,9 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     scenario : Scenario
         The mission, in its actual wind.
     plan : Plan or None
-        Plan of the mission. Its costates give an estimate of the energy that the vehicle still
-        needs from the end of each flight to the exact goal state; None for no estimate.
+        Plan of the mission. Its costates (sensitivities of the energy to the state) give an
+        estimate of the energy from the end of each flight to the exact goal state. None for no
+        estimate.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
@@ -266,10 +281,21 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
     """Search for the autopilot settings of least energy by Nelder and Mead's method.
 
-    The result holds all settings (speed, acceleration, jerk) that the search tried, in order, each
-    with the results of its simulated flight. `scenario` is the mission in its actual wind. `plan`
-    is its plan, whose costates give an estimate of the energy from the end of a flight to the exact
-    goal state (None for no estimate). `planner` holds the compiled equations.
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, in its actual wind.
+    plan : Plan or None
+        Plan of the mission. Its costates (sensitivities of the energy to the state) give an
+        estimate of the energy from the end of each flight to the exact goal state. None for no
+        estimate.
+    planner : Planner
+        Holds the compiled equations.
+
+    Returns
+    -------
+    tuple of TriedCruise
+        All settings that the search tried, in order, with the results of their simulated flights.
     """
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: dict[tuple[float, ...], TriedCruise] = {}
@@ -307,11 +333,16 @@ def _start_of_search(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the first settings of the search for an autopilot's settings, and three factors.
 
-    The settings are a triple of speed [m/s], acceleration [m/s^2] and jerk [m/s^3]. The search uses
-    Nelder and Mead's method. The first settings are one vertex of its initial simplex. The factors,
-    one for each setting, give the three other vertices: in each of them, one of the first settings
-    is multiplied by its factor. `scenario` is the mission, and `planner` holds the compiled
-    equations.
+    The settings and the factors give the initial simplex of Nelder and Mead's method. One vertex of
+    the simplex is the first settings. In each of the three other vertices, one setting is
+    multiplied by its factor. `scenario` is the mission, and `planner` holds the compiled equations.
+
+    Returns
+    -------
+    settings : tuple of float
+        Speed [m/s], acceleration [m/s^2] and jerk [m/s^3].
+    factors : tuple of float
+        Factor on each setting.
     """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)

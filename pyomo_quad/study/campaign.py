@@ -1,11 +1,12 @@
 """Campaign: missions repeated on each battery charge until no further flight is possible.
 
-A campaign uses one or more battery charges. On one charge, each flight is planned with the state
-of charge, the relaxation voltage and the temperature at which the flight before it ended. The solve
-has a warm start from the previous plan of the same mission.  The flights on one charge end before
-the first flight that has no plan. A flight has no plan if it would leave less charge than the
-reserve, or if the voltage would fall below its limit.  The battery neither rests between two
-flights on one charge nor ages.
+A campaign uses one or more battery charges. On one charge, each flight starts with the battery as
+the flight before it ended: with the same state of charge, relaxation voltage and temperature. The
+previous plan of a mission is the initial guess for its next plan.
+
+The flights on one charge end before the first flight without a plan. A flight has no plan if it
+would leave less charge than the reserve, or if the voltage would fall below its limit. The battery
+does not rest between two flights on one charge, and it does not age.
 """
 
 from collections.abc import Iterator, Sequence
@@ -40,9 +41,10 @@ CHARGE_RESERVE = "charge reserve"
 
 
 class CampaignColumn(TableColumn):
-    """Columns of the table of a campaign, one row for each flight, in order.
+    """Columns of the table of a campaign, in order.
 
-    A campaign is a series of missions repeated on one or more battery charges.
+    A campaign is a series of missions repeated on one or more battery charges. Each row of the
+    table is a flight.
     """
 
     CHARGE = "charge", lambda flight: flight.charge
@@ -61,9 +63,10 @@ class CampaignFlight:
 
     Attributes
     ----------
-    charge, number : int
-        Which charging of the battery the flight uses, and which flight on this charging it is, both
-        counted from 1.
+    charge : int
+        Number of the battery charge that the flight uses, counted from 1.
+    number : int
+        Number of the flight on this battery charge, counted from 1.
     plan : Plan
         Plan of the flight.
     charge_at_start, charge_at_end : float
@@ -83,7 +86,7 @@ class CampaignFlight:
 
 @dataclass(frozen=True, kw_only=True, repr=False)
 class Campaign(Summarised):
-    """Flights of a campaign, that is of missions repeated on one or more battery charges.
+    """Flights of a campaign, a series of missions repeated on one or more battery charges.
 
     Attributes
     ----------
@@ -94,7 +97,7 @@ class Campaign(Summarised):
     flights : tuple of CampaignFlight
         All flights, in order.
     endings : tuple of str
-        For each battery charge, the reason in words for which no further flight was made on it.
+        For each battery charge, the reason in words why the flights on it ended.
     """
 
     missions: tuple[Scenario, ...]
@@ -117,9 +120,9 @@ class Campaign(Summarised):
     def summary(self) -> dict[str, str]:
         """Summary of the campaign, as a mapping from the name of a result to its value as text.
 
-        The results are the names of the missions, the number of flights on each battery charge, for
-        each charge the reason for which no further flight was made on it, and the total duration
-        and energy of all flights.
+        The results are the names of the missions, the number of flights on each battery charge, the
+        reason why the flights on each charge ended, and the total duration and energy of all
+        flights.
         """
         plans = [flight.plan for flight in self.flights]
         return {
@@ -143,8 +146,8 @@ def fly_campaign(
     Parameters
     ----------
     missions : sequence of Scenario
-        Missions with the same battery and vehicle, repeated in this order. On each new battery
-        charge, the first flight starts with the initial state of charge of the first mission.
+        Missions with the same battery, repeated in this order. On each new battery charge, the
+        first flight starts with the initial state of charge of the first mission.
     planners : sequence of Planner
         For each mission, a planner that solves it.
     charges : int, default 1
@@ -153,13 +156,14 @@ def fly_campaign(
     Returns
     -------
     Campaign
-        All flights, and the reason for which the flights on each charge ended.
+        All flights, and the reason why the flights on each charge ended.
 
     Raises
     ------
     ScenarioError
-        If the missions have different batteries, or if a mission's equations come from a user's own
-        Python function (scenario field `model`), whose battery is not known to the package.
+        If the missions have different batteries, or if a mission takes its equations from a user's
+        own Python function (scenario field `model`). The package does not know the battery of such
+        a function.
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))
@@ -207,9 +211,14 @@ def _refuse_other_packs(missions: Sequence[Scenario]) -> None:
 def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
     """Return the plan of a campaign's next flight, or the reason in words if there is none.
 
-    `present` is the mission with the present state of the battery. `last` is the previous plan of
-    the same mission, which gives the warm start; None for the first flight of the mission.
-    `planner` solves the mission.
+    Parameters
+    ----------
+    present : Scenario
+        The mission, with the present state of the battery.
+    last : Plan or None
+        Previous plan of this mission, used as the initial guess; None for its first flight.
+    planner : Planner
+        Solves the mission.
     """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge
@@ -227,7 +236,7 @@ def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | s
 def _ended(plan: Plan) -> dict[str, float]:
     """Return the values of all states at the end of a plan, by state name.
 
-    They include the states of the battery, with which the next flight of a campaign starts.
+    The states include those of the battery.
     """
     held = plan.trajectories
     return dict(zip(held.state_names, held.states[-1].tolist(), strict=True))
@@ -248,11 +257,22 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
     """Return the limits that a mission's previous plan would break on the remaining charge.
 
-    The limits explain why a campaign has no further flight. To find them, the controls of the
-    previous plan of the same mission, `last`, are simulated from the present state of the battery.
-    The limits are in words, separated by commas. The text is empty if no limit is broken, or if
-    `last` is None, because the mission has not been planned before. `present` is the mission with
-    the present state of the battery. `planner` holds the compiled equations for the simulation.
+    The limits explain why a campaign has no further flight. The controls of the previous plan are
+    simulated from the present state of the battery.
+
+    Parameters
+    ----------
+    present : Scenario
+        The mission, with the present state of the battery.
+    last : Plan or None
+        Previous plan of this mission; None if there is no previous plan.
+    planner : Planner
+        Holds the compiled equations for the simulation.
+
+    Returns
+    -------
+    str
+        Limits in words, separated by commas. Empty if no limit is broken or `last` is None.
     """
     return "" if last is None else ", ".join(_broken(present, last, planner))
 

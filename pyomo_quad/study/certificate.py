@@ -42,10 +42,10 @@ _QUADRATURE_ERROR = 1e-10
 class ThrustMoments:
     """Two weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
-    Every flight from rest to rest over a displacement in a given time has the same values of two
-    weighted integrals of the thrust vector: the first follows from the momentum balance
-    (docs/theory/bound.md, eq. (2)), the second from the displacement (eq. (4)). The two values give
-    a lower bound on the energy of every flight, and one on its largest thrust.
+    The integrals have the same values for every flight from rest to rest with a given displacement
+    and duration. The first integral follows from the momentum balance (docs/theory/bound.md, eq.
+    (2)), the second from the displacement (eq. (4)). Their values give a lower bound on the energy
+    of every flight, and a lower bound on its largest thrust.
 
     Parameters
     ----------
@@ -60,16 +60,13 @@ class ThrustMoments:
     Attributes
     ----------
     widths : ndarray, shape (n,)
-        Weights of the n nodes of a Gauss quadrature over the flight, s. The sum of a function's
-        values at the nodes, each times its number in `widths`, is the integral of the function.
+        Weights of the n nodes of a Gauss quadrature over the flight, s.
     weights : ndarray, shape (2, n, 3)
-        Dimensionless factors by which the thrust at the nodes is multiplied in the first and in the
-        second weighted integral, along each axis.
-        The first factor is 1. The second is (k(t) - mean of k over the flight) / duration, with
-        k(t) of docs/theory/bound.md, eq. (3).
+        Dimensionless weights of the thrust in the first and the second integral, at the nodes,
+        along each axis. The first weight is 1. The second is (k(t) - mean of k over the flight) /
+        duration, with k(t) of docs/theory/bound.md, eq. (3).
     demanded : ndarray, shape (2, 3)
-        Values of the first and of the second integral (weight times thrust) that the mission
-        requires, along each axis, N s.
+        Values of the first and the second integral that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
         Mean over the flight of the thrust vector that the mission requires, N.
     """
@@ -92,8 +89,8 @@ class ThrustMoments:
         """Return the price of thrust: the thrust vector's multiplier at each quadrature node.
 
         In the dual problem (docs/theory/bound.md, eq. (8)) each of the two weighted integrals of
-        the thrust has a Lagrange multiplier. The multiplier of the thrust vector at a node, called
-        its price, is the sum of these two multipliers, each times the weight of its integral at the
+        the thrust has a Lagrange multiplier. The price of thrust at a node is a sum over the two
+        integrals: multiplier of the integral times weight of the thrust in the integral at the
         node.
 
         Parameters
@@ -115,8 +112,7 @@ class ThrustMoments:
     def supplied(self, thrust: FloatArray) -> FloatArray:
         """Return the two weighted integrals of a given thrust over the flight.
 
-        For the thrust of any flight of the mission, the integrals are equal to the attribute
-        `demanded`.
+        The thrust of any flight of the mission has integrals equal to the attribute `demanded`.
 
         Parameters
         ----------
@@ -146,14 +142,17 @@ class ThrustMoments:
         Notes
         -----
         The mission fixes the values of two weighted integrals of the thrust, the attribute
-        `demanded`. For any multipliers x of these integrals, the price vector price(x) at a time is
-        the sum of the multipliers, each times the weight of its integral at this time (method
-        `price`). Then x . demanded is the integral of price(x) . thrust over the flight. If the
-        thrust never exceeds u, then x . demanded <= u * (integral of |price(x)|). Among the
-        multipliers with x . demanded = 1, those with the least integral of |price(x)| give the
-        largest lower bound on u. A thrust that attains this bound has the constant length u and the
-        direction of price(x). Where price(x) passes through zero, |price(x)| has a corner as a
-        function of time, so that its quadrature has a relative error of about 1e-4.
+        `demanded`. Let x be any multipliers of the integrals, and price(x) the price vector as a
+        function of time (method `price`). Then x . demanded is the integral of price(x) . thrust
+        over the flight. If the thrust never exceeds u, then x . demanded <= u * (integral of
+        |price(x)|).
+
+        Among the multipliers with x . demanded = 1, those with the least integral of |price(x)|
+        give the largest lower bound on u. A thrust that attains this bound has the constant length
+        u and the direction of price(x).
+
+        At a zero of price(x), |price(x)| has a corner as a function of time. The quadrature then
+        has a relative error of about 1e-4.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -187,10 +186,9 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the two weight functions of the weighted integrals of the thrust, at given times.
+    """Return the weights of the thrust in the two weighted integrals of the thrust, at given times.
 
-    The integral of a weight times the thrust over the flight has the same value for every flight
-    that meets the boundary conditions.
+    Each integral has the same value for every flight that meets the boundary conditions.
 
     Parameters
     ----------
@@ -204,11 +202,11 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
     Returns
     -------
     plain : ndarray, shape (n, 3)
-        Weight 1, along each axis, of the integral that follows from the momentum balance,
+        Weight 1, along each axis. Its integral follows from the momentum balance,
         docs/theory/bound.md, eq. (2).
     lever : ndarray, shape (n, 3)
-        Weight k(t), along each axis, of the integral that follows from the displacement, eqs. (3)
-        and (4), s.
+        Weight k(t), along each axis, s. Its integral follows from the displacement, eqs. (3) and
+        (4).
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -221,8 +219,8 @@ def _standing_moments(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
 
-    This thrust S balances weight and wind at zero velocity; it changes with time if the wind does.
-    The integrals are the terms with S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
+    The thrust S at rest balances weight and wind. It changes with time if the wind does. The
+    integrals are the terms with S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
     (4).
 
     Parameters
