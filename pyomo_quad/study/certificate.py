@@ -386,14 +386,19 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return the reason why the bound leg by leg does not apply to a mission; "" if it applies.
+    """Return the reason why `_bound_by_legs` gives no bound for a mission; "" if it gives one.
 
-    The bound leg by leg is the lower bound on the energy that the function `_bound_by_legs`
-    computes. This bound takes account of waypoints and of a free duration. It does not apply, for
-    instance, if the wind changes with time. The result is then "in a wind that changes with time".
-    The caller appends the result to a message such as "no bound is known for a free duration".
-    `scenario` is the mission, and `demand` is the thrust that the momentum balance requires for a
-    motion.
+    The function `_bound_by_legs` computes a lower bound on the energy of the mission from its legs,
+    the flights between waypoints. It gives no bound, for instance, if the wind changes with time.
+    The reason is then "in a wind that changes with time". The caller appends the reason to a
+    message such as "no bound is known for a free duration".
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    demand : MomentumDemand
+        Thrust that the momentum balance requires for a motion.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -420,8 +425,8 @@ def _bound_as_a_whole(
     power : _SteadyPower
         Total power as a function of the total thrust, all rotors at one constant speed.
     why_not_by_legs : str
-        Reason from `_why_not_by_legs` why the bound that takes account of waypoints and of a free
-        duration does not apply. The returned text contains it.
+        Reason why the function `_bound_by_legs` gives no bound, from `_why_not_by_legs`. The
+        returned text contains this reason.
 
     Returns
     -------
@@ -507,10 +512,10 @@ def _bound_by_legs(
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that slowing rotors can give back at the goal after a payload release [J].
 
-    After the release the vehicle is lighter at the goal than at the start, so that its rotors turn
-    more slowly in the hover at the goal. The energy is subtracted from the lower bound
-    (docs/theory/bound.md, eq. (7)). It is zero if the mission `scenario` releases no payload.
-    `planner` holds the compiled equations of the vehicle.
+    After the release the vehicle is lighter. Its rotors therefore turn more slowly in the hover at
+    the goal than at the start, and lose kinetic energy. This energy is subtracted from the lower
+    bound (docs/theory/bound.md, eq. (7)). The result is zero if the mission `scenario` releases no
+    payload. `planner` holds the compiled equations of the vehicle.
     """
     if not scenario.mission.released:
         return 0.0
@@ -526,11 +531,11 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
     """Bound the energy of flights from below if power or drag depends on the airspeed.
 
     The bound follows from the least power over all combinations (pairs) of thrust and airspeed. The
-    module `study.pairs` computes this bound. In some missions with a wind field there is a second
-    lower bound, computed by the function `_bound_of_places`: this second bound takes account of the
-    places at which the winds blow. The larger of the two bounds is returned. `scenario` is the
-    mission, `planner` holds the compiled equations, and `demand` is the thrust that the momentum
-    balance requires for a motion.
+    module `study.pairs` computes this bound. For some missions with a wind field, the function
+    `_bound_of_places` computes another lower bound, which takes account of the places at which the
+    winds blow. The larger of the two bounds is returned. `scenario` is the mission, `planner` holds
+    the compiled equations, and `demand` is the thrust that the momentum balance requires for a
+    motion.
 
     Returns
     -------
@@ -593,9 +598,9 @@ def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: 
     scenario : Scenario
         The mission.
     counted : Scenario
-        The mission for which the bound was computed. It is the object `scenario` itself, or a copy
-        of `scenario` without waypoints if the mission leaves the order of its waypoints open. For
-        such a copy, the returned text says that the waypoints are left out.
+        The mission for which the bound was computed: `scenario` itself, or a copy of `scenario`
+        without waypoints. The copy is used if the mission leaves the order of its waypoints open.
+        The returned text then says that the waypoints are left out.
     legs : int
         Number of legs, flights from one waypoint to the next, in `counted`.
     of_field : str
@@ -640,7 +645,7 @@ def _bound_of_places(
     winds : ndarray, shape (n_winds, 3)
         Corners of the polyhedron of all winds of the field, all horizontal [m/s].
     power : float
-        Power of hovering [W], to which tolerances are relative.
+        Power of hovering [W]. Tolerances are fractions of this power.
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -654,10 +659,10 @@ def _has_places(
     """Return whether the lower bound that takes account of where each wind blows applies.
 
     The function `_bound_of_places` computes this lower bound on the energy of a mission in a wind
-    field. The bound applies if all of the following are true: the mission has a single leg with
-    exact start and goal; a flight may not leave the field; the winds of the field are horizontal
-    and not all the same; and the thrust `standing` is vertical. A flight may leave the field if the
-    scenario's `wind.beyond` is "hold".
+    field. The bound applies if the mission meets four conditions. The mission has a single leg with
+    exact start and goal. A flight may not leave the field: the scenario's `wind.beyond` is not
+    "hold". The winds of the field are horizontal and not all equal. The thrust `standing` is
+    vertical.
 
     Parameters
     ----------
@@ -695,8 +700,8 @@ def _airspace_clause(scenario: Scenario) -> str:
 def _obstacles(scenario: Scenario) -> Iterator[str]:
     """Yield the features of a scenario for which no lower bound on the energy is known, in words.
 
-    An example is a user's own model. Without such features nothing is yielded, and a bound may be
-    known.
+    An example is a user's own model. If the scenario has none of these features, nothing is
+    yielded.
     """
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
@@ -724,9 +729,9 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    The dual function bounds the energy of every flight of the mission from below: it is the
+    The dual function bounds the energy of every flight of the mission from below. It is the
     right-hand side of docs/theory/bound.md, eq. (8). The search starts from the bound of Jensen's
-    inequality, eq. (9), and the result is never below this bound.
+    inequality, eq. (9). The result is never below the bound of Jensen's inequality.
 
     Parameters
     ----------
@@ -735,8 +740,8 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
     power : _SteadyPower
         Total power as a function of the total thrust, all rotors at one constant speed.
     ceiling : float
-        Energy of full power during the whole flight [J]. The search stops above it, because a
-        larger bound proves that no flight exists.
+        Energy of full power during the whole flight [J]. The search stops when the bound exceeds
+        this energy, because such a bound proves that no flight exists.
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -768,10 +773,10 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    The values cover the allowed range of the rotor speed. The power may be negative: a power model
-    in which braking rotors return no energy replaces a negative power by zero, but the values are
-    taken before this replacement. The replacement can only increase the power, so that a lower
-    bound on the energy that is computed without it is valid.
+    The values cover the allowed range of the rotor speed. The power may be negative. Some power
+    models replace a negative power by zero, because braking rotors return no energy. The values
+    here are taken before this replacement. The replacement can only increase the power. A lower
+    bound on the energy that is computed from the values here is therefore valid.
 
     Attributes
     ----------
@@ -779,8 +784,8 @@ class _SteadyPower:
         Total thrust [N], increasing, and total power [W], at samples of the rotor speed.
     is_polynomial : bool
         Whether thrust and power of the Pyomo model are polynomials of the rotor speed. The samples
-        are values of fitted polynomials; if the attribute is true, they equal the model to
-        rounding.
+        are values of fitted polynomials. If the attribute is true, the samples equal the values of
+        the model to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
@@ -824,10 +829,11 @@ class _SteadyPower:
 
         Notes
         -----
-        Between two samples the power lies above their chord if it is concave, and above the
-        extension of the neighbouring chord if it is convex.  The samples are lowered so that the
-        polygon through them lies below both lines. The maximum over the lowered samples is
-        therefore an upper bound on the maximum over all thrusts.
+        Consider the curve of the power between two samples. A concave curve lies above the chord
+        through the two samples. A convex curve lies above the extension of the neighbouring chord.
+        The samples are lowered until the polygon through them lies below chord and extension. The
+        maximum over the lowered samples is therefore an upper bound on the maximum over all
+        thrusts.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]
@@ -838,8 +844,8 @@ def _fit(
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
 
-    The result `is_exact` tells whether thrust or power is a polynomial of the rotor speed. Some
-    lower bounds on the energy apply only if both are.
+    Some lower bounds on the energy apply only if thrust and power are polynomials of the rotor
+    speed. The result `is_exact` tells whether the fitted quantity is a polynomial.
 
     Parameters
     ----------
@@ -866,11 +872,15 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return samples of the power, lowered until the polygon through them is below the curve.
+    """Return samples of the power, lowered until the polygon through them is below the curve [W].
 
     The curve is the power as a function of the thrust. A lower bound on the energy that is computed
-    from the lowered samples [W] is thus valid for the whole curve. `thrust` [N] and `power` [W] are
-    the samples, in the order of increasing thrust.
+    from the lowered samples is valid for the whole curve.
+
+    Parameters
+    ----------
+    thrust, power : ndarray, shape (n,)
+        Samples of the curve, in the order of increasing thrust: thrust [N] and power [W].
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.

@@ -76,11 +76,18 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
     """Yield a finding for each battery limit that every flight of the mission must break.
 
-    `scenario` is the mission, of fixed duration, with the limits on the battery: on its state of
-    charge, its current, its voltage, and its power as a share of the greatest power. `bound` is a
-    lower bound on the energy of every flight of the mission [J]. This bound divided by the duration
-    is a lower bound on the mean power. If a limit does not permit even this mean power, every
-    flight breaks the limit. `steady` computes current and voltage of the battery at a given power.
+    The lower bound on the energy, divided by the duration, is a lower bound on the mean power.
+    Every flight breaks a limit that does not permit even this mean power. The limits are those on
+    the state of charge, current and voltage, and on the power as a share of the greatest power.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, of fixed duration, with the limits on the battery.
+    steady : SteadyFlight
+        Computes current and voltage of the battery at a given power.
+    bound : float
+        Lower bound on the energy of every flight of the mission [J].
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     current, voltage, charge_rate = steady.pack_under(bound / duration)
@@ -127,9 +134,9 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings if the power model is outside its valid range at or near hover.
 
-    For instance, the motors may need more voltage in hover than the battery has. The finding then
-    has the severity "impossible" if the power model uses the motor's electrical constants;
-    otherwise it is a caution. `steady` computes power and rotor speed in hover.
+    An example is a motor that needs more voltage in hover than the battery has. The severity of
+    this finding is "impossible" for a power model that uses the motor's electrical constants, and
+    "caution" for other power models. `steady` computes power and rotor speed in hover.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -173,9 +180,10 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
     """Return the highest rotor speed [rad/s] where chattering takes less power than a steady speed.
 
     Chattering is alternating acceleration and braking, up to the rotor acceleration ``limit``
-    [rad/s^2]. Where it takes less power, a plan of least energy depends on this limit and on the
-    mesh. `steady` computes the power at a given rotor speed and acceleration. The result is None if
-    there is no such speed between 0.6 and 1.1 times the speed of hover.
+    [rad/s^2]. A plan of least energy chatters where chattering takes less power, and then depends
+    on this limit and on the mesh. Rotor speeds between 0.6 and 1.1 times the speed of hover are
+    examined. The result is None if a steady speed takes less power at all these speeds. `steady`
+    computes the power at a given rotor speed and acceleration.
     """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
@@ -252,12 +260,19 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the limit that permits the least thrust, and the largest thrust that it permits [N].
+    """Return the strictest limit on the thrust, and the largest thrust that this limit permits [N].
 
-    The limit is given in words, as "field = value". Limits on rotor speed, on thrust and on rotor
-    acceleration are compared. The limit on rotor acceleration limits the thrust, because the rotors
-    start and end at hover speed and so can be fastest half way through the flight. `scenario` has
-    the limits and the duration, and `steady` computes the thrust at a given rotor speed.
+    The strictest limit is returned as text, "field = value". Limits on rotor speed, on thrust and
+    on rotor acceleration are compared. The rotors start and end at hover speed, and can be fastest
+    half way through the flight. The limit on their acceleration therefore limits rotor speed and
+    thrust.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission, with its limits and its duration.
+    steady : SteadyFlight
+        Computes the thrust at a given rotor speed.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight.
@@ -325,11 +340,18 @@ def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float
 
     The function is called if the mission's own duration is too short. A message then recommends a
     duration longer than the result. The result is found by doubling and bisection of the duration,
-    starting from the mission's duration. The result is infinite if the available thrust is too
-    small for all durations that were tried, or if the wind is a series of measurements over time
-    and thus unknown after the end of the mission. `scenario` is the mission. `demand` computes the
-    thrust that the momentum balance of the vehicle requires for the motion from start to goal, and
-    `available` is the thrust that the limits allow [N].
+    starting from the mission's duration. It is infinite if the available thrust is too small for
+    all durations that were tried. It is infinite also if the wind is a series of measurements over
+    time, because the wind after the end of the mission is then unknown.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission.
+    demand : MomentumDemand
+        Thrust that the momentum balance of the vehicle requires for the motion from start to goal.
+    available : float
+        Thrust that the limits allow [N].
     """
     if scenario.wind.series is not None:
         return inf
@@ -562,8 +584,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 
     The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"), which set the
     Euler rates equal to the body rates. The controls of the plan are simulated with the exact
-    relation between Euler rates and body rates, and the caution is given if this flight misses the
-    goal. `planner` holds the compiled equations; None for a new planner.
+    relation between Euler rates and body rates. The caution is given if the simulated flight misses
+    the goal. `planner` holds the compiled equations; None for a new planner.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

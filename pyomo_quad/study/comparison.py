@@ -54,20 +54,19 @@ def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame
     Parameters
     ----------
     scenario : Scenario
-        The mission. Its duration and the passing times of its waypoints must be fixed; the property
-        `mission_flown` of a `Plan` is such a scenario, with the times of the plan.
+        The mission. Its duration and the passing times of its waypoints must be fixed. The property
+        `mission_flown` of a `Plan` is a scenario with the times of the plan.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual wind.
 
     Returns
     -------
     DataFrame
-        One row for each time. Constants of this module hold the names of the columns. The columns
-        named by `ERROR_WITH` and `ERROR_WITHOUT` hold the distance of the vehicle from the place
-        that the path has at that time [m], with adaptation and without. The columns named by
-        `ESTIMATED` and `TRUE`, three each, hold the x, y and z components of the disturbance
-        acceleration in the flight with adaptation [m/s^2]: the controller's estimate, and the true
-        value.
+        One row for each time. The constants `ERROR_WITH`, `ERROR_WITHOUT`, `ESTIMATED` and `TRUE`
+        hold the names of the columns. The error is the distance of the vehicle from the point of
+        the path for that time [m], with adaptation and without. `ESTIMATED` and `TRUE` name three
+        columns each: the x, y and z components of the disturbance acceleration in the flight with
+        adaptation [m/s^2]. `ESTIMATED` is the controller's estimate, `TRUE` the true value.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -152,8 +151,8 @@ def compare_flights(
     Parameters
     ----------
     scenario : Scenario
-        The mission, with the duration and the passing times of the plan; the property
-        `mission_flown` of a `Plan` is this scenario.
+        The mission, with the duration and the passing times of the plan: the property
+        `mission_flown` of a `Plan`.
     flights : sequence of Flight
         Flights of the mission. The flight of the plan is the one with the name "optimal", which is
         the value of the constant `OPTIMAL`.
@@ -169,25 +168,27 @@ def compare_flights(
 
     Notes
     -----
-    Flights are compared at the same end state.  A simulated flight ends near the goal. The energy
-    that the vehicle needs from the flight's end state to the exact goal state, called the owed
-    energy, is therefore added to the flight's energy. The method `owed_energy` of a `Plan`
-    estimates it. Excess over hovering, optimality gap and savings refer to the sum.  The saving of
-    the plan compared with a flight is (flight - plan) / flight, in per cent.  The table has two
-    savings: of the sum, and of the part of the sum that exceeds the energy of hovering.
+    Flights are compared at equal end states. A simulated flight ends near the goal. The owed energy
+    is the energy that the vehicle still needs from the end of the flight to the exact goal state.
+    The method `owed_energy` of a `Plan` estimates the owed energy. The sum of the flight's energy
+    and the owed energy is compared: excess over hovering, optimality gap and savings refer to this
+    sum. The saving of the plan compared with a flight is (flight - plan) / flight, in per cent. The
+    table has two savings: of the sum, and of the part of the sum that exceeds the energy of
+    hovering.
 
     Saving, lower bound and optimality gap are NaN for a flight that did not arrive or broke a
     limit, because the bound covers only flights that arrive within the limits. They are NaN also
     for a flight whose owed energy is unknown. A flight has arrived if it ends at the goal and
-    nearly at rest, see `has_arrived`.  If the scenario has a wind forecast, all savings are NaN,
-    and so are lower bound and gap of the plan. The reason is that the plan was made for the
-    forecast wind, whereas the other flights were simulated in the actual wind.
+    nearly at rest, see `has_arrived`.
 
-    ``hover_energy_J`` is the energy of hovering for the duration of the mission.  For a flight of
-    another duration, hovering takes another energy. The flight then has a bound only if the
-    certificate covers its duration, and no saving above hover, because the two hover energies
-    differ. There is no saving above hover either if the plan takes less energy than hovering,
-    because the saving would exceed 100 %.
+    If the scenario has a wind forecast, all savings are NaN, and lower bound and gap of the plan
+    are NaN, too. The reason is that the plan was made for the forecast wind, whereas the other
+    flights were simulated in the actual wind.
+
+    A flight whose duration differs from that of the mission has a bound only if the certificate
+    covers the flight's duration. It has no saving above hover, because hovering for another
+    duration takes another energy. No flight has a saving above hover if the plan takes less energy
+    than hovering, because the saving would exceed 100 %.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
@@ -238,8 +239,8 @@ def compare_flights(
 def against_hovering(excess_J: float, digits: int = 2) -> str:
     """Return in words how much more or less energy than hovering a flight takes.
 
-    An example is "3.20 J less than hovering". `excess_J` is the energy of the flight less the
-    energy of hovering for the same time, and `digits` the number of decimals.
+    An example is "3.20 J less than hovering". `excess_J` is the energy of the flight minus the
+    energy of hovering for the duration of the flight [J], and `digits` the number of decimals.
     """
     return f"{abs(excess_J):.{digits}f} J {'less' if excess_J < 0.0 else 'more'} than hovering"
 
@@ -370,8 +371,8 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
     A solve is late if it took longer on this machine than the scenario's ``solve_time``, the time
     allowed for a solve. The table also counts the solves that took longer than the interval to the
-    next solve. Both counts use the measured times of the solves, even if the simulated flight
-    delayed each new plan by the stated ``solve_time`` instead.
+    next solve. Both counts use the measured times of the solves. The simulated flight itself may
+    have used the stated ``solve_time`` as the delay of each new plan.
 
     Parameters
     ----------
@@ -502,8 +503,8 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 
     `frame` is the flight's table, one row for each time. `component` is the variable's name in the
     model, such as "rotors.omega" for the rotor speeds. The result has a row for each time and a
-    column for each rotor: at least four columns, filled with NaN where a user's model lacks a
-    rotor.
+    column for each rotor, and at least four columns. The columns of rotors that a user's model
+    lacks are filled with NaN.
     """
     shown = [one for one in ALL_COLUMNS if one.component == component]
     return np.column_stack(

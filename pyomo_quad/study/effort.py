@@ -1,12 +1,12 @@
 """Estimate of the processor time that planning a mission takes, and of each feature's part in it.
 
 Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
-number of unknowns: variables per collocation point, times collocation points of the mesh. Several
-meshes, routes round keep-out zones and orders of the waypoints may be solved.  The numbers of
-meshes, routes and orders are known or estimated before the solve.  The constants of the estimate,
-such as the time per unknown and iteration, were measured by the command
-`python -m tests.benchmarks resolve missions`.  The tables that this command prints compare
-estimates with measured times.
+number of unknowns, which is the number of variables per collocation point times the number of
+collocation points of the mesh. Planning may solve the mission for several meshes, routes round
+keep-out zones and orders of the waypoints. The numbers of meshes, routes and orders are known or
+estimated before the solve. The constants of the estimate, such as the time per unknown and
+iteration, were measured by the command `python -m tests.benchmarks resolve missions`. The tables
+that this command prints compare estimates with measured times.
 """
 
 from __future__ import annotations
@@ -63,10 +63,11 @@ class Counts:
     routes : int
         Number of routes round keep-out zones; 0 if no zone is in the way.
     legs : int
-        Number of legs, flights between two waypoints, that are solved to find the order of the
-        waypoints; 0 for a given order.
+        Number of flights between two waypoints (legs) that are planned in order to find the best
+        order of the waypoints; 0 for a given order.
     is_free, has_wind_table, has_wind_field : bool
-        Whether the duration is free, and whether the wind is a measured table or a field.
+        Whether the duration is free, whether the wind is a measured table, and whether the wind is
+        a field.
     cells : int
         Number of grid cells of the wind field or of the terrain that the flight crosses. The
         estimate assumes at least one mesh element for each cell.
@@ -110,9 +111,9 @@ class Effort:
     seconds : float
         Estimated processor time of planning.
     features : tuple of (str, float)
-        Costly features in words, each with the time that planning would save without the feature
-        [s], the largest first. These times do not add up to `seconds`, because the effects of the
-        features multiply.
+        Costly features in words, each with its time: planning without the feature would take this
+        much less time [s]. The feature with the largest time is first. The times do not add up to
+        `seconds`, because the effects of the features multiply.
     """
 
     seconds: float
@@ -148,7 +149,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
     Returns
     -------
     Effort
-        Time [s], and costly features.
+        Processor time [s], and costly features with their times.
     """
     counts = counts_of(scenario, unknowns)
     without = {
@@ -204,7 +205,8 @@ def _cells(scenario: Scenario) -> int:
     """Estimate how many grid cells of the wind field or of the terrain a mission's legs cross.
 
     A leg is the straight line from one waypoint to the next. The estimate is the horizontal length
-    of all legs divided by the least horizontal step of the grids; 0 if the scenario has no grid.
+    of all legs divided by the least horizontal step of the grids. It is 0 if the scenario has no
+    grid.
     """
     field, ground = scenario.wind.grid, scenario.airspace.ground
     steps = [] if field is None else [after - at for at, after in pairwise(field.x)]

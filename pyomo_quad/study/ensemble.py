@@ -117,9 +117,9 @@ class Ensemble(Summarised):
 
     @property
     def broken(self) -> dict[str, Share]:
-        """Share of flights that broke a limit, for each broken limit, the largest share first.
+        """For each limit that a flight broke, the share of flights that broke it.
 
-        The key is the limit in words.
+        The key is the limit in words. The limit with the largest share is first.
         """
         counts = Counter(name for ending in self.flown.endings for name in ending.broken)
         return {name: Share(count, self.count) for name, count in counts.most_common()}
@@ -128,9 +128,9 @@ class Ensemble(Summarised):
     def worst(self) -> dict[str, float]:
         """Largest violation of each broken limit over all flights.
 
-        The key is the limit in words. The value is the violation divided by the larger of 1 and the
-        limit. Two kinds of limits have another value. For the two limits on the arrival, the value
-        is the distance from the goal [m] and the speed [m/s] at the end of the flight. For the
+        The key is the limit in words. The value is as a rule the violation divided by the larger of
+        1 and the limit. For the limit on the final distance from the goal, the value is the
+        distance [m]. For the limit on the final speed, the value is the speed [m/s]. For the
         battery, the value is the missing fraction of power or charge.
         """
         return {
@@ -208,8 +208,8 @@ def fly_plan_often(
     Parameters
     ----------
     scenario : Scenario
-        The mission, with the duration and the passing times of the plan; the property
-        `mission_flown` of a `Plan` is this scenario.
+        The mission, with the duration and the passing times of the plan: the property
+        `mission_flown` of a `Plan`.
     held : Trajectories
         States and controls of the plan over time. The plan was made for the scenario's forecast of
         the wind.
@@ -243,8 +243,9 @@ def fly_cruise_often(
 
     With the same seed, the winds are the same as in `fly_plan_often`. In all flights the autopilot
     waits at the goal for the same time, so that the vehicle can settle. The times in `SETTLINGS_S`
-    [s] are tried in increasing order. The first of these waiting times with which at least half of
-    the flights arrive and break no limit is used, or else the longest one.
+    [s] are tried in increasing order. The search ends at the first waiting time with which at least
+    half of the flights arrive and break no limit. If no waiting time is long enough, the longest is
+    used.
 
     Parameters
     ----------
@@ -257,7 +258,7 @@ def fly_cruise_often(
     flights, seed : int
         Number of flights, and seed of their winds.
     name : str, optional
-        Name of the flights; without it they are named after the speed.
+        Name of the flights. By default the flights are named after the speed.
     least_s : float, default 0
         Least duration of the flights [s].
 
@@ -417,15 +418,16 @@ def fly_in_turbulence(
     cruise : CruiseSettings or None
         Speed, acceleration and jerk of the autopilot; with None no autopilot is simulated.
     is_tuned : bool
-        Whether `cruise` has the settings of least energy; the wording of the result says so.
+        Whether `cruise` holds the settings of least energy. The wording of the result depends on
+        this.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
     Returns
     -------
     InTurbulence or None
-        Flights in turbulence. None if the scenario has no turbulence, or if a simulation of
-        the plan's controls did not confirm the plan, not even to wide tolerances.
+        Flights in turbulence. None if the scenario has no turbulence. None also if a simulation of
+        the plan's controls did not confirm the plan, even to wide tolerances.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:

@@ -1,9 +1,10 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
-Each point of the front is a flight that minimises energy + price * duration, where the price of
-time [W] is a weight that the mission sets or this study varies.  No other flight is both shorter
-and cheaper than a flight of the front.  Where the least energy is convex in the duration, each
-price selects one flight, and the slope of the front at this flight is minus the price.
+Each point of the front is a flight that minimises energy + price * duration. The price of time [W]
+is a weight: the mission sets one price, and this study uses other prices, too. No other flight is
+both shorter and cheaper than a flight of the front. Where the least energy is convex in the
+duration, each price selects one flight, and the slope of the front at this flight is minus the
+price.
 """
 
 from math import isclose, isfinite, nan
@@ -41,8 +42,8 @@ def energy_time_front(
 
     The price of time [W] is the weight of the duration in the objective energy + price * duration.
     Each solve starts from the plan, and therefore passes keep-out zones on the same sides as the
-    plan. It keeps the plan's mesh, which is accurate enough for energies; limits between the mesh
-    points are not checked.
+    plan. Each solve uses the mesh of the plan, which is accurate enough for energies. Limits
+    between the mesh points are not checked.
 
     Parameters
     ----------

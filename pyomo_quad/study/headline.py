@@ -1,11 +1,11 @@
 """Headline of a run: its main results in a few sentences.
 
 The sentences state energy and duration of the plan, its energy saving, and the success of its
-simulated flights in turbulence. The plan is compared with one other flight of the run, which must
-have arrived within the limits. This is the flight of the autopilot tuned for least energy (module
-`study.autopilot`). Without such a flight it is the simulated flight under the controller along a
-smooth path (quintic polynomial), or else the one that takes the least energy. The energy saving is
-the difference in energy between this flight and the plan.
+simulated flights in turbulence. The plan is compared with one other flight of the run, the rival.
+Only flights that arrived within the limits can be the rival. The first choice is the flight of the
+autopilot tuned for least energy (module `study.autopilot`). The second choice is the simulated
+flight under the controller along a smooth path (quintic polynomial). The third choice is the flight
+of least energy. The energy saving is the difference in energy between the rival and the plan.
 """
 
 from collections.abc import Iterable, Mapping
@@ -68,8 +68,8 @@ class Headline:
         They state the plan's energy and duration, its energy saving over another flight, the share
         of its simulated flights in turbulence that succeed, and the energy that its safety margins
         cost. If an autopilot was simulated in the same turbulence as the plan, the saving is taken
-        from these flights, because a plan for the mean wind cannot be compared with a single flight
-        in turbulence.
+        from the flights in turbulence. The reason is that a plan for the mean wind cannot be
+        compared with a single flight in turbulence.
         """
         charge = ""
         if self.battery_percent is not None:
@@ -145,9 +145,9 @@ class Headline:
 def headline_of(result: "RunResult") -> Headline | None:
     """Return the headline of a run: its main results and their wording.
 
-    `result` holds the results of the run. The function returns None if a simulation of the controls
-    of the run's plan did not confirm the plan, not even to wide tolerances. It also returns None if
-    the plan was made for a forecast of the wind.
+    `result` holds the results of the run. The function returns None if a simulation of the plan's
+    controls did not confirm the plan, even to wide tolerances. It also returns None if the plan was
+    made for a forecast of the wind.
     """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
@@ -172,8 +172,8 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row.
 
     `comparison` is the comparison table of the run, which has one row for each flight. A flight
-    qualifies if it arrived within the limits, so that the table holds an energy saving of the plan
-    over this flight. The flight of the plan itself and the simulation of the plan's rotor commands
+    qualifies if it arrived within the limits. The table then holds the energy saving of the plan
+    over the flight. The flight of the plan itself and the simulation of the plan's rotor commands
     without feedback do not qualify. The first choice is the flight of the autopilot tuned for least
     energy. The second choice is the flight under the controller along a smooth path (quintic
     polynomial). The third choice is the flight of least energy among those that qualify. The result

@@ -16,20 +16,20 @@ P* | conjugate of the power: maximum of price of thrust times thrust minus power
 A_k, G_k | terms of the bound, J s and W, defined below
 
 With the acceleration a, the thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any
-price p of the thrust.  With p = y / m_k the acceleration integrates by parts: the boundary terms
-cancel at the passages, where neither velocity nor y jumps, and vanish at rest.  So every flight
-spends at least
+price p of the thrust. With p = y / m_k the term p . m_k a is integrated by parts. Its boundary
+terms vanish at rest. They cancel at the passages, because neither velocity nor y jumps there. So
+every flight spends at least
 
 sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
 G_k = mean over the leg of p . s_k - P*(|p|).
 
 At a passage with a speed limit y may jump; this lowers the bound by the limit times |jump of y|.
 
-If the T_k are free and only their sum is limited, a price of time mu < G_k with A_k >= 0 gives the
-lower bound  sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k):  a closed form, which holds for all
-passing times and durations.  The closed form equals the least value, over all fixed T_k, of the
-bound for fixed T_k. For at T_k = sqrt(A_k / (G_k - mu)) the two bounds are equal, and both have the
-slope mu in every T_k.
+Let the T_k be free and only their sum be limited. With A_k >= 0, a price of time mu < G_k gives the
+lower bound sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k): a closed form, which holds for all
+passing times and durations. The closed form is the least value that the bound for fixed T_k takes
+over all T_k. The reason: at T_k = sqrt(A_k / (G_k - mu)) the two bounds are equal, and both have
+the slope mu in every T_k.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Leg:
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs and hovers of a mission, and the limits on the durations of groups of them.
 
-    Waypoints with a given passing time divide the legs into groups; the sum of the durations in a
+    Waypoints with a given passing time divide the legs into groups. The sum of the durations in a
     group is fixed or limited. Each hover at a waypoint is a group with one leg.
 
     Returns
@@ -195,9 +195,9 @@ class Itinerary:
         ----------
         prices : ndarray, shape (n_prices, 3)
             Prices y (Lagrange multipliers) of velocity at the ends of the legs, J per m/s: price of
-            momentum times the mass on the leg. The price changes linearly with time along a leg.
-            Two legs have the same price at the waypoint between them; only if this waypoint limits
-            the speed, the prices before and after it may differ.
+            momentum times the mass on the leg. The price changes linearly with time along a leg. At
+            a waypoint that limits the speed, the prices before and after the waypoint may differ.
+            At all other waypoints the two prices are equal.
 
         Returns
         -------
@@ -207,8 +207,8 @@ class Itinerary:
             Term of the bound for the jumps of the price at waypoints with a speed limit, J: minus
             the speed limit times the length of the jump, summed over these waypoints; not positive.
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
-            Gradients with respect to the prices: n_legs of A_k, then n_legs of G_k, last that of
-            `jumped`.
+            Gradients with respect to the prices: first those of the A_k, then those of the G_k,
+            last the gradient of `jumped`.
         """
         n = len(self._displacements)
         legs = np.arange(n)
@@ -239,19 +239,19 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        For given prices (Lagrange multipliers) of velocity at the ends of the legs and given
-        durations of the legs, a sum over the legs, with a term for the speed limits at waypoints,
-        bounds the energy from below; the docstring of this module gives this sum. The least
-        value of this sum over the allowed durations is a lower bound for all of them: the dual
-        function, which depends on the prices only. The result is the largest value of the dual
-        function that a search over the prices finds.
+        For given durations of the legs, a sum over the legs bounds the energy from below; the
+        docstring of this module gives this sum. The sum depends also on the prices (Lagrange
+        multipliers) of velocity at the ends of the legs. The dual function is the least value of
+        the sum over all allowed durations, and depends on the prices only. Each of its values is a
+        lower bound on the energy. The result is the largest value that a search over the prices
+        finds.
 
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Multiplier of thrust, W/N, for the start of the search. The search starts with prices of
-            velocity that are this multiplier times the mass at the start of the flight, less a
-            multiple of the displacement from the start, so that the bound is finite.
+            Price (multiplier) of thrust for the start of the search, W/N. The first prices of
+            velocity are this price times the mass at the start of the flight, minus a multiple of
+            the displacement from the start. This difference makes the first bound finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -293,8 +293,7 @@ class Itinerary:
     def _by_group(self) -> list[NDArray[np.bool_]]:
         """Return for each group of legs a mask that selects its legs.
 
-        A group consists of the legs between two fixed times; the sum of their durations is limited.
-        Each mask has the shape (n_legs,).
+        A group consists of the legs between two fixed times. Each mask has the shape (n_legs,).
         """
         return [self._groups == k for k in range(len(self._shared))]
 

@@ -1,8 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of flights along the plan in turbulence that break a limit.
-The sentences also say whether this risk covers the limits that a flight breaks. A limit counts as
-covered if it is one of those that the planner's test flights in turbulence break most often.
+The sentences also say whether this risk covers the limits that a flight breaks. The planner
+simulates test flights in turbulence. The risk covers the limits that the test flights break most
+often.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,11 +30,13 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 
     Limits are those of the scenario, such as the largest speed. The plan's risk is the share of the
     plan's flights in turbulence that the scenario permits to break limits. Each sentence names the
-    limits that its flight breaks, and says whether the risk covers them. The risk covers a broken
-    limit if this limit is among the three that the planner's test flights of the plan in turbulence
-    break most often. The risk applies only to flights under feedback that track the plan, or
-    that solve the plan again during the flight with the actual wind known or estimated. If no
-    flight breaks a limit, the only sentence says so.
+    limits that its flight breaks, and says whether the risk covers them. If no flight breaks a
+    limit, a single sentence says so.
+
+    The planner simulates test flights of the plan in turbulence. The risk covers the three limits
+    that the test flights break most often. The risk applies only to flights under feedback. Such a
+    flight tracks the plan, or solves the plan again during the flight with the actual wind known or
+    estimated.
 
     Parameters
     ----------
@@ -60,9 +63,9 @@ def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
     """Return in words whether the plan's risk covers the limits that a flight breaks.
 
     The risk is the share of the plan's flights in turbulence that may break a limit. The planner
-    simulates test flights of the plan in turbulence. A limit that a flight breaks counts as covered
-    by the risk if it is among those that the test flights break most often. `risk` is the record of
-    the risk and of the test flights; None for a plan without risk.
+    simulates test flights of the plan in turbulence. The risk covers the limits that the test
+    flights break most often. `risk` is the record of the risk and of the test flights; None for a
+    plan without risk.
     """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"

@@ -23,30 +23,30 @@ conditions this gives
 energy >= w . displacement + duration * (least H over all pairs u, v),
 H = P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s).
 
-These equations hold for a steady wind.  Where the wind differs from place to place, eta is the
-price of the kinetic energy of the motion relative to air of velocity U, and the least H is taken
-over the winds too.  The price of momentum is then p + eta (W - U). The least H over all pairs is a
-concave function of W: its least value over winds in a polyhedron is found at a corner.
+These equations hold for a steady wind. Where the wind differs from place to place, eta is the price
+of the kinetic energy of the motion relative to air of velocity U, and the least H is taken over the
+winds too. The price of momentum is then p + eta (W - U). The least H over all pairs is a concave
+function of W. Its least value over the winds in a polyhedron is therefore found at a corner.
 
 P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The orientation
-in which the terms of the prices subtract most is known: the subtracted sum is then the sum of the
-singular values of the matrix (u + f) p' + v q' with q = w - eta s, where ' denotes the transpose,
-apart from terms that do not depend on the orientation.  H is thus minimised over three numbers
-only: T, a and r.  In the computation the first number is not T but the rotor speed, from which the
-equations give the thrust; with the power model `momentum` it is the induced velocity, from which
-the model's balance of thrust and induced velocity gives rotor speed and thrust.
+in which the terms of the prices subtract most is known. Let q = w - eta s, and let ' denote the
+transpose. The sum of the subtracted terms that depend on the orientation is then the sum of the
+singular values of the matrix (u + f) p' + v q'. H is thus minimised over three numbers only: T, a
+and r. The computation uses the rotor speed as the first number instead of T; the equations give the
+thrust from the rotor speed. With the power model `momentum` the first number is the induced
+velocity. The model's balance of thrust and induced velocity then gives rotor speed and thrust.
 
 The least H is bounded from below by branch and bound. A box is a range of the three numbers; the
 compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until
 its lower bound on H is at least the smallest value of H found so far, less a tolerance.
 
-With the power model `momentum`, the profile power of one rotor with the thrust t is
-c t^1.5 + k t^0.5 with coefficients c and k (k is written m in docs/theory/bound.md, eq. (17)); k is
-zero in still air. If c t >= k, rotors with unequal thrusts take no less power in all than rotors
-with equal thrusts t.  If c t < k, at high airspeed and low thrust, they may take less, but no less
-than the convex envelope of the profile power. For c t < k this envelope is the tangent to the
-profile power that passes through the origin (no thrust, no power), and lies
-(c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
+With the power model `momentum`, let t be the thrust of one rotor. Its profile power is c t^1.5 + k
+t^0.5 with coefficients c and k. The coefficient k is zero in still air; docs/theory/bound.md, eq.
+(17), writes m for k. If c t >= k, rotors with unequal thrusts take no less power in all than rotors
+with equal thrusts t. If c t < k, at high airspeed and low thrust, rotors with unequal thrusts may
+take less power. They take no less than the convex envelope of the profile power. For c t < k this
+envelope is a straight line through the origin that touches the curve of the profile power. The line
+lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
 
 The mass may change at a waypoint. The products m p and m eta are the same on all legs.
 """
@@ -204,14 +204,24 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power and two further CasADi expressions of a pair.
 
-        The coordinates of a pair of thrust and airspeed are `first` (rotor speed [rad/s], or
-        induced velocity [m/s] for the power model `momentum`), `along` and `across` (airspeed along
-        and across the thrust [m/s]). The first three results are: rotor speed [rad/s], total thrust
-        [N], and total power [W] of rotors with equal speeds. The last two results tell what rotors
-        with unequal speeds and the same total thrust may save: `excess` [W] and `margin`, of which
-        only the sign is used. If `margin` is negative, unequal rotors may take less power, but at
-        most `excess` less. If `margin` is not negative, equal speeds take the least power, and
-        `excess` has no meaning.
+        A pair is a combination of thrust and airspeed, given by three coordinates.
+
+        Parameters
+        ----------
+        first : Symbol
+            Rotor speed [rad/s], or induced velocity [m/s] for the power model `momentum`.
+        along, across : Symbol
+            Airspeed along and across the thrust [m/s].
+
+        Returns
+        -------
+        speed, thrust, power : expression
+            Rotor speed [rad/s], total thrust [N] and total power [W] of rotors with equal speeds.
+        excess, margin : expression
+            What rotors with unequal speeds and the same total thrust may save. If `margin` is
+            negative, rotors with unequal speeds may take less power, but at most `excess` [W] less.
+            Otherwise equal speeds take the least power, and `excess` has no meaning. Only the sign
+            of `margin` is used.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -248,19 +258,30 @@ class Pairs:
         """Evaluate the function H and its parts at n pairs of thrust and airspeed.
 
         H is the power of a pair minus the rates at which the pair changes momentum, position and
-        kinetic energy of the vehicle, each times its price (Lagrange multiplier). `points` holds
-        the three coordinates of each pair, shape (3, n): rotor speed [rad/s] (induced velocity
-        [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s]. H depends
-        on the prices through four numbers only, which the argument `numbers` holds; the method of
-        the same name computes them. By default all four are zero, as for prices of zero, and H is
-        the power.
+        kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
+        change).
 
-        The result has the shape (8, n). Its rows are: H [W] without the terms that are the same for
-        all pairs (`_constant`), thrust [N], rotor speed [rad/s], margin, force of the air across
-        and along the thrust [N], power [W], and excess [W]. Margin and excess tell whether, and by
-        how much, rotors with unequal speeds may take less power than rotors with equal speeds (see
-        `_of_rotors`). H and power are reduced by the excess where the margin is negative, so that
-        they are lower bounds for rotors with unequal speeds, too.
+        Parameters
+        ----------
+        points : ndarray, shape (3, n)
+            Coordinates of the pairs: rotor speed [rad/s] (induced velocity [m/s] for the power
+            model `momentum`), airspeed along the thrust and airspeed across the thrust [m/s].
+        numbers : sequence of 4 float, optional
+            The four numbers through which H depends on the prices, from the method `numbers`. By
+            default all four are zero, and H is the power.
+
+        Returns
+        -------
+        ndarray, shape (8, n)
+            The rows are: H [W] without the terms that are the same for all pairs (`_constant`),
+            thrust [N], rotor speed [rad/s], margin, force of the air across and along the thrust
+            [N], power [W], and excess [W].
+
+        Notes
+        -----
+        If the margin is negative, rotors with unequal speeds may take less power than rotors with
+        equal speeds, but at most the excess less (see `_of_rotors`). H and power are then reduced
+        by the excess, so that they are lower bounds for rotors with unequal speeds, too.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -270,17 +291,23 @@ class Pairs:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
         The search over pairs of thrust and airspeed covers airspeeds up to this limit. The limit is
-        the smaller of two speeds. The first speed is the speed limit in `scenario` plus the speed
-        of the strongest wind. The second speed follows from the drag. Let A be the airspeed at
-        which the drag equals the largest thrust plus the length of the attribute `standing`, the
-        thrust that holds the vehicle still. In a steady wind the vehicle cannot accelerate at
-        airspeeds above A; the second speed is then the greater of A and the speed of the wind,
-        which is the airspeed at rest. If the wind differs from place to place, let U be the middle
-        of the range of winds, D the greatest difference between a wind and U, and V a speed
-        relative to air of velocity U above which this speed cannot grow, whatever wind of the range
-        blows; V is at least A + D. The second speed is then D plus the greater of V and the size of
-        U. The result is infinite if the scenario has no speed limit and the drag never becomes so
-        large. Implements docs/theory/bound.md, eq. (22).
+        the smaller of two speeds. One is the speed limit in `scenario` plus the speed of the
+        strongest wind. The other follows from the drag, see docs/theory/bound.md, eq. (22). The
+        result is infinite if the scenario has no speed limit and the drag does not reach the value
+        in the Notes at any airspeed.
+
+        Notes
+        -----
+        Let A be the airspeed at which the drag equals the largest thrust plus the length of
+        `standing`, the thrust that holds the vehicle still. In a steady wind the vehicle cannot
+        accelerate at airspeeds above A. The airspeed at rest is the speed of the wind. The speed
+        that follows from the drag is therefore the greater of A and the speed of the wind.
+
+        If the wind differs from place to place, let U be the middle of the range of winds, and D
+        the greatest difference between a wind and U. Consider the speed of the vehicle relative to
+        air of velocity U. Above a certain value V, at least A + D, this relative speed cannot grow
+        in any wind of the range. The speed that follows from the drag is D plus the greater of V
+        and the size of U.
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -313,14 +340,22 @@ class Pairs:
         """Return the four numbers through which the function H depends on the prices.
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price. A price is the
-        Lagrange multiplier of the total change, which the mission fixes. `prices` are p (of
-        momentum), w (of displacement) and eta (of kinetic energy). `mass` is the mass as a fraction
-        of the mass at the start. The thrust that holds the vehicle still, s, is the attribute
-        `standing`, which is this thrust at the start, times `mass`. The numbers are, in order: the
-        length of p; the component of w - eta s along p; the length of the component of w - eta s
-        across p; and eta. The terms of H that are the same for all pairs are left out: they do not
-        follow from these numbers. See docs/theory/bound.md, eq. (16).
+        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
+        multiplier of the total change). The numbers do not determine the terms of H that are the
+        same for all pairs. See docs/theory/bound.md, eq. (16).
+
+        Parameters
+        ----------
+        prices : MotionPrices
+            Prices p of momentum, w of displacement and eta of kinetic energy.
+        mass : float
+            Mass as a fraction of the mass at the start.
+
+        Returns
+        -------
+        tuple of 4 float
+            Length of p; component of q along p; length of the component of q across p; eta. Here q
+            is w - eta s, and s is the thrust that holds the vehicle still: `standing` times `mass`.
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -333,11 +368,11 @@ class Pairs:
         """Return the prices of one leg converted to the motion through the air in one wind.
 
         `prices` are the Lagrange multipliers of the changes of momentum, position and kinetic
-        energy on the leg. The kinetic energy is here that of the motion relative to air of velocity
-        U, the middle of the range of all winds of the mission. `wind` is the wind that blows, shape
-        (3,) [m/s]. The returned prices refer to the kinetic energy of the motion relative to `wind`
-        instead: the price of kinetic energy times (wind - U) is added to the price of momentum, and
-        the other prices are unchanged. Implements docs/theory/bound.md, eq. (20).
+        energy on the leg. These prices refer to the kinetic energy of the motion relative to air of
+        velocity U, the middle of the range of all winds of the mission. `wind` is the wind that
+        blows, shape (3,) [m/s]. The returned prices refer to the kinetic energy of the motion
+        relative to `wind`. The price of kinetic energy times (wind - U) is added to the price of
+        momentum. The other prices are unchanged. Implements docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -349,11 +384,11 @@ class Pairs:
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
         momentum, position and kinetic energy of the vehicle, each times its price. A price is the
-        Lagrange multiplier of the total change, which the mission fixes. The range of all pairs is
-        sampled in each wind at a corner of the polyhedron of winds, and the least local minima are
-        refined. The least value found may lie above the true minimum; `least` returns a proven
-        lower bound. A linear program searches for the prices that give the largest lower bound on
-        the energy of a flight; each returned pair becomes a constraint of this program.
+        Lagrange multiplier of the total change, which the mission fixes. Pairs over the whole range
+        are sampled, for each wind at a corner of the polyhedron of winds. The least local minima
+        are then refined. The least value found may lie above the true minimum; `least` returns a
+        proven lower bound. A linear program searches for the prices that give the largest lower
+        bound on the energy of a flight. Each returned pair becomes a constraint of this program.
 
         Parameters
         ----------
@@ -370,8 +405,8 @@ class Pairs:
             One array for each pair at one of the least local minima of H: the power of the pair
             [W], then the derivatives of H with respect to the prices of momentum (3) [N],
             displacement (3) [m/s] and kinetic energy (1) [W]. If the thrust that holds the vehicle
-            still (`standing`) is vertical, each array is followed by the arrays of seven copies of
-            its pair that are rotated about the vertical.
+            still (`standing`) is vertical, seven arrays follow each array. They belong to copies of
+            the pair, rotated about the vertical.
         """
         minima = []
         for wind in self._winds:
@@ -402,8 +437,9 @@ class Pairs:
             Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
             pair. The search is faster if this bound is close to G.
         tolerance : float
-            The result is below the smaller of G and `above` by at most this amount [W], unless the
-            search ends early because it has examined too many boxes of pairs.
+            Each bound is at most this amount below the smaller of G and `above` [W]. The difference
+            can be larger if the search ends early because it has examined too many boxes (ranges of
+            pairs).
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
         numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
@@ -443,9 +479,9 @@ class Pairs:
 
         The first result holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced
         velocity [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s].
-        The second result holds the values of H there [W], shape (n,), without the terms of
-        `_constant`, which are the same for all pairs. Only the n least of all local minima among
-        the samples are returned, at most `_CANDIDATES`.
+        The second result holds the values of H at these pairs [W], shape (n,), without the terms
+        that are the same for all pairs (`_constant`). Only the n least local minima are returned; n
+        is at most `_CANDIDATES`.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -482,18 +518,28 @@ class Pairs:
 
         H is the power of a pair minus the rates at which the pair changes momentum, position and
         kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
-        change). `at` has the three coordinates of the pair, shape (3,): rotor speed (induced
-        velocity for the power model `momentum`), airspeed along and across the thrust. The
-        coordinates leave open how the pair is turned in space; the pair is turned such that H is
-        least. `prices` are the prices for the motion through the air in the wind `wind` [m/s], from
-        `_in_wind`, and `mass` is the mass as a fraction of the mass at the start.
+        change). The coordinates of the pair do not fix its orientation in space. The orientation
+        with the least H is taken. The copies are rotated about the vertical. They exist only if the
+        thrust that holds the vehicle still (`standing`) is vertical.
 
-        Each item of the result has shape (8,): the power [W], then the derivatives of H with
-        respect to the prices of momentum (3) [N], displacement (3) [m/s] and kinetic energy (1)
-        [W]. The first item belongs to the pair, the others to copies that are rotated about the
-        vertical: the power is the same, and the derivatives are rotated. This requires that the
-        thrust that holds the vehicle still (`standing`) is vertical; otherwise only the first item
-        is returned.
+        Parameters
+        ----------
+        at : ndarray, shape (3,)
+            Coordinates of the pair: rotor speed (induced velocity for the power model `momentum`),
+            airspeed along the thrust and airspeed across the thrust.
+        prices : MotionPrices
+            Prices for the motion through the air in the wind `wind`, from `_in_wind`.
+        mass : float
+            Mass as a fraction of the mass at the start.
+        wind : ndarray, shape (3,)
+            Wind [m/s].
+
+        Returns
+        -------
+        list of ndarray, shape (8,)
+            First the array of the pair, then those of the copies. Each holds the power [W], then
+            the derivatives of H with respect to the prices of momentum (3) [N], displacement (3)
+            [m/s] and kinetic energy (1) [W].
         """
         momentum, displacement = (
             prices.momentum,
@@ -518,12 +564,19 @@ class Pairs:
         """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price. A price is the
-        Lagrange multiplier of the total change, which the mission fixes. `prices` are the prices on
-        one leg of the flight, and `mass` is the mass on it as a fraction of the mass at the start.
-        The result is at most ``tolerance`` [W] below the least H, unless the search ends early
-        because it has examined too many boxes of pairs. The least H is concave in the wind, so the
-        corners of the polyhedron of winds suffice: docs/theory/bound.md, eq. (20).
+        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
+        multiplier of the total change). The least H is concave in the wind, so the corners of the
+        polyhedron of winds suffice: docs/theory/bound.md, eq. (20).
+
+        Parameters
+        ----------
+        prices : MotionPrices
+            Prices on one leg of the flight.
+        mass : float
+            Mass on the leg as a fraction of the mass at the start.
+        tolerance : float
+            The result is at most this amount below the least H [W]. The difference can be larger if
+            the search ends early because it has examined too many boxes (ranges of pairs).
         """
         sampled = self.cheapest(prices, mass)[0]
         proven = sampled
@@ -536,19 +589,28 @@ class Pairs:
         return proven
 
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
-        """Return proven lower bounds on the least value of H, for n sets of prices [W].
+        """Return proven lower bounds on the least value of H, for n sets of prices, shape (n,) [W].
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
         momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
         multiplier of the total change). Terms that are the same for all pairs (`_constant`) are
-        left out here. The search is a branch and bound over boxes, which are ranges of the three
-        coordinates of a pair. It keeps the smallest value of H found so far and ends if no box can
-        contain a value that is smaller by more than `tolerance` [W], or after a fixed number of
-        boxes.
+        left out here.
 
-        `numbers`, shape (4, n), has in each column the four numbers through which H depends on one
-        set of prices, from the method `numbers`. `sampled`, shape (n,), has for each set the value
-        of H at some pair [W], with which the search starts. The result has shape (n,).
+        Parameters
+        ----------
+        numbers : ndarray, shape (4, n)
+            Each column has the four numbers through which H depends on one set of prices, from the
+            method `numbers`.
+        sampled : ndarray, shape (n,)
+            For each set, the value of H at some pair [W]. The search starts from this value.
+        tolerance : float
+            Accuracy of the bounds [W].
+
+        Notes
+        -----
+        The search is a branch and bound over boxes, which are ranges of the three coordinates of a
+        pair. It keeps the smallest value of H found so far. The search ends if no box can contain a
+        value that is smaller by more than `tolerance`, or after a fixed number of boxes.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -577,14 +639,15 @@ class Pairs:
     def _not_excluded(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, enough: FloatArray
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which boxes may contain a pair within the limits whose H is below ``enough``.
+        """Return which boxes may contain a permitted pair with H below ``enough``.
 
         A box is a range of the three coordinates of a pair of thrust and airspeed. H is the power
         of a pair minus the rates at which the pair changes momentum, position and kinetic energy of
-        the vehicle, each times its price (Lagrange multiplier of the total change). The limits of
-        the vehicle are the largest thrust, the least rotor speed and the largest airspeed. The test
-        compares bounds on H, thrust, rotor speed and airspeed over each box with ``enough`` and
-        these limits. It is much faster than `_box`, which also bounds slopes.
+        the vehicle, each times its price (Lagrange multiplier of the total change). A pair is
+        permitted if it is within three limits: the largest thrust, the least rotor speed and the
+        largest airspeed. The test compares bounds on H over each box with ``enough``, and bounds on
+        thrust, rotor speed and airspeed with the limits. The test is much faster than `_box`, which
+        also bounds slopes.
 
         Parameters
         ----------
@@ -594,16 +657,16 @@ class Pairs:
             For each box, the four numbers through which H depends on the prices, from the method
             `numbers`.
         enough : ndarray, shape (n,)
-            For each box, the value of H [W]: the box is excluded if H is nowhere in it below this
-            value.
+            One value for each box [W]. The box is excluded if H is at least this value in the whole
+            box.
 
         Returns
         -------
         ndarray of bool, shape (n,)
             Whether a box is not excluded.
         ndarray of bool, shape (n_kept,)
-            For each box that is not excluded: whether rotors with equal thrusts take the least
-            power for all pairs in it.
+            For each box that is not excluded, whether rotors with equal thrusts take the least
+            power for all pairs in the box.
         """
         given = np.vstack([numbers, np.zeros(low.shape[1])])
         under, over = self._enclosure.values_over(low, high, given)
@@ -700,12 +763,13 @@ def bound_of_pairs(
     A leg is the flight from one waypoint to the next; a passing time is the time at a waypoint. A
     pair is a combination of thrust and airspeed. The mission fixes by how much a flight changes
     momentum, position and kinetic energy of the vehicle. Any Lagrange multipliers of these
-    conditions give a lower bound on the energy; the multipliers with the largest bound are the
-    solution of a linear program with one constraint for each pair. The multipliers are searched for
-    by cutting planes (Kelley, 1960). In each round the program is solved with the pairs found so
-    far. Trial multipliers are taken half way between the best multipliers so far and this solution.
-    The pairs that limit the bound most for the trial multipliers are found and added to the
-    program. After the last round the bound for the best multipliers is proven over all pairs.
+    conditions give a lower bound on the energy. The multipliers with the largest bound solve a
+    linear program with one constraint for each pair. The bound is proven over all pairs.
+
+    The multipliers are searched for by cutting planes (Kelley, 1960). In each round the program is
+    solved with the pairs found so far. The trial multipliers lie half way between the best
+    multipliers so far and the solution of the program. The pairs that limit the bound most for the
+    trial multipliers are added to the program.
 
     Parameters
     ----------
@@ -717,7 +781,7 @@ def bound_of_pairs(
         Least and greatest duration of each group of legs (the legs between two fixed times), from
         `legs.legs_of`, s.
     power : float
-        Power of hover [W], to which tolerances are relative.
+        Power of hover [W]. Tolerances are fractions of this power.
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
@@ -746,7 +810,7 @@ def prices_of_pairs(
         Least and greatest duration of each group of legs (the legs between two fixed times), from
         `legs.legs_of`, s.
     power : float
-        Power of hover [W], to which tolerances are relative.
+        Power of hover [W]. Tolerances are fractions of this power.
 
     Returns
     -------
@@ -797,7 +861,7 @@ class _Program:
         Least and greatest duration of each group of legs (the legs between two fixed times), from
         `legs.legs_of`, s.
     power : float
-        Power of hover [W], to which tolerances are relative.
+        Power of hover [W]. Tolerances are fractions of this power.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still at zero airspeed, N.
     """
@@ -857,8 +921,8 @@ class _Program:
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
         momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier). H is a linear function of the prices. Unknowns of the program are the prices
-        and the least H of each leg. `k` is the index of the leg. `pair` is an array from
+        multiplier). H is a linear function of the prices. The unknowns of the program are the
+        prices and the least H of each leg. `k` is the index of the leg. `pair` is an array from
         `Pairs.cheapest`, shape (8,): the power of the pair [W], then the derivatives of H with
         respect to the prices.
         """
@@ -910,11 +974,12 @@ class _Program:
         changes these quantities, each times its price. `least` holds for each leg the least H over
         all pairs, or a lower bound on it, shape (n_legs,) [W].
 
-        The bound is the sum of two parts. The first is the sum over the legs of the price of
-        displacement times the displacement, less what the allowed distance from the nominal
-        waypoints can save. The second is the sum over the groups of legs (the legs between two
-        fixed times) of the duration of the group times the least H on its legs; the least or the
-        greatest duration counts, whichever gives less.
+        The bound is the sum of two parts. One part is a sum over the legs: the price of
+        displacement times the displacement, minus what the allowed distance from the nominal
+        waypoints can save. The other part is a sum over the groups of legs; a group consists of the
+        legs between two fixed times. Each group adds its duration times the least H on its legs.
+        The duration is the least or the greatest one that the mission allows, whichever gives the
+        smaller product.
         """
         found = sum(
             float(p.displacement @ leg.displacement)

@@ -2,12 +2,12 @@
 
 The bound of `study.pairs` assumes that the most favourable wind of the field blows everywhere. The
 bound of this module uses the winds that the field has at each place. A potential is a function of
-the horizontal position. Its gradient at each place is limited such that the energy of any motion in
-the winds there, minus terms for the changes of momentum and kinetic energy, is at least the
-potential that the motion gains. Over a flight from rest to rest, the terms for these changes
-vanish. The rise of the potential from the start to the goal, with terms for the difference in
-height and the duration, is then a lower bound on the energy of every flight, along any path.
-Derivation: see docs/theory/bound.md, eqs. (23) to (27).
+the horizontal position. A motion of the vehicle takes energy and gains potential. The gradient of
+the potential is limited by the following condition. In the winds of each place, the energy of any
+motion, minus terms for the changes of momentum and kinetic energy, must be at least the gained
+potential. Over a flight from rest to rest, the terms for these changes vanish. A lower bound on the
+energy of every flight, along any path, is therefore the rise of the potential from start to goal,
+plus terms for height and duration. Derivation: see docs/theory/bound.md, eqs. (23) to (27).
 
 A price is the Lagrange multiplier (dual variable) of the total change of momentum, position or
 kinetic energy over a flight, which the mission fixes. A pair is a combination of thrust and
@@ -25,14 +25,14 @@ a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
 h | price of time [W]: P is at least h plus the terms of the prices and of the potential
 
-A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W.  G is a concave function of a
-and q together.  Therefore linear interpolation between proven values of G gives lower bounds on G,
-and the allowed gradients in a wind form a convex set.  An inscribed polygon represents this set;
-its corners lie in equally spaced directions, of which the first is the direction of a.  For a given
-q, the difference G(o + eta W, q) - h - q . W is a concave function of W too.  Let a rectangle
-contain all winds of a cell. A gradient that is allowed in the winds at the corners of this
-rectangle is therefore allowed in all winds of the cell.  The largest rise of a potential with
-allowed gradients is the optimal value of a linear program.
+A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W. G is a concave function of a
+and q together. Therefore linear interpolation between proven values of G gives lower bounds on G.
+For the same reason the allowed gradients in a wind form a convex set. An inscribed polygon
+represents this set; its corners lie in equally spaced directions, of which the first is the
+direction of a. For a given q, the difference G(o + eta W, q) - h - q . W is a concave function of
+W, too. Let a rectangle contain all winds of a cell. A gradient that is allowed in the four winds at
+the corners of the rectangle is then allowed in all winds of the cell. The largest rise of a
+potential with allowed gradients is the optimal value of a linear program.
 """
 
 from __future__ import annotations
@@ -126,13 +126,13 @@ class PlacePrices:
     ) -> GradientTable:
         """Tabulate the function G over prices of momentum and gradients of a potential.
 
-        A potential is a function of the horizontal place. G is the least value in still air, over
-        all combinations of thrust and airspeed, of the power minus the rates at which momentum,
-        position and kinetic energy change, each times its price (Lagrange multiplier). The gradient
-        of the potential is the price of horizontal displacement. The vertical prices of momentum
-        and displacement and the price of kinetic energy are those of this object. G then depends on
-        the length of the horizontal part of the price of momentum, the length of the gradient, and
-        the angle between the two.
+        A potential is a function of the horizontal place. G is a least value over all combinations
+        of thrust and airspeed. The minimised quantity is the power in still air minus three terms:
+        the rates of change of momentum, position and kinetic energy, each times its price (Lagrange
+        multiplier). The gradient of the potential is the price of horizontal displacement. The
+        vertical prices of momentum and displacement and the price of kinetic energy are those of
+        this object. G then depends on the length of the horizontal part of the price of momentum,
+        the length of the gradient, and the angle between the two.
 
         Parameters
         ----------
@@ -174,12 +174,12 @@ class PlacePrices:
 class GradientTable:
     """Table of the function G over prices of momentum and gradients of a potential.
 
-    A potential is a function of the horizontal place. G is the least value in still air, over all
-    combinations of thrust and airspeed, of the power minus the rates at which momentum, position
-    and kinetic energy change, each times its price (Lagrange multiplier). The gradient of the
-    potential is the price of horizontal displacement. The rise of a potential from start to goal
-    gives a lower bound on the energy of flights only if its gradient is limited. The method
-    `gradients` computes these limits from G.
+    A potential is a function of the horizontal place. G is a least value over all combinations of
+    thrust and airspeed. The minimised quantity is the power in still air minus three terms: the
+    rates of change of momentum, position and kinetic energy, each times its price (Lagrange
+    multiplier). The gradient of the potential is the price of horizontal displacement. The rise of
+    a potential from start to goal gives a lower bound on the energy of flights only if its gradient
+    is limited. The method `gradients` computes these limits from G.
 
     Attributes
     ----------
@@ -245,10 +245,10 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 
     `GradientTable.gradients` finds in this way the largest allowed length of a gradient in each
     direction. `at` has the k arguments of the samples in each of m directions, increasing, shape
-    (m, k). `values`, shape (n, m, k), has the samples of n functions in each direction; the first
+    (m, k). `values`, shape (n, m, k), has the samples of n functions in each direction. The first
     sample of each function is positive. Between samples the functions are interpolated linearly.
-    The result, shape (n, m), has the argument at which each function is zero or, if all its samples
-    are positive, the last argument.
+    The result, shape (n, m), has the argument at which each function is zero. If all samples of a
+    function are positive, the result has the last argument.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -261,10 +261,11 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 class Sampled:
     """Approximation of the function G by its least value over samples.
 
-    A pair is a combination of thrust and airspeed. G is the least value in still air, over all
-    pairs, of the power minus the rates at which the pair changes momentum, position and kinetic
-    energy of the vehicle, each times its price (Lagrange multiplier). The approximation is the
-    least value over samples of pairs, so that it is not below G.
+    A pair is a combination of thrust and airspeed. G is a least value over all pairs. The minimised
+    quantity is the power of a pair in still air minus three terms: the rates at which the pair
+    changes momentum, position and kinetic energy, each times its price (Lagrange multiplier). The
+    approximation is the least value over samples of pairs. The approximation is therefore never
+    below G.
 
     Parameters
     ----------
@@ -279,8 +280,9 @@ class Sampled:
         """Return approximate values of the function G for n sets of prices, shape (n,) [W].
 
         `prices` holds n sets of Lagrange multipliers of momentum, displacement and kinetic energy.
-        G is the least value in still air, over all combinations of thrust and airspeed, of the
-        power minus the rates at which these quantities change, each times its price.
+        G is a least value over all combinations of thrust and airspeed. The minimised quantity is
+        the power in still air minus three terms: the rates of change of momentum, position and
+        kinetic energy, each times its price.
         """
         thrust, lift, aside, power, along, across = self._samples
         drag = -(aside * across + lift * along)
@@ -357,12 +359,12 @@ class Places:
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Corners of polygons in the plane of the gradient [N]; the gradients inside a polygon are
-            allowed in one wind. Each cell of the grid that a flight may enter has four polygons of
-            n corners, one for each corner of a rectangle that contains the winds of the cell (the
-            winds of the attribute `corners`). The polygons of the first cell come first, then those
-            of the second cell, and so on. The gradient of the potential in a cell must be inside
-            all four polygons of the cell.
+            Corners of polygons in the plane of the gradient [N]. Each polygon has n corners and
+            contains the gradients that are allowed in one wind. Each cell of the grid that a flight
+            may enter has four polygons, for four winds (attribute `corners`). These winds are the
+            corners of a rectangle that contains all winds of the cell. The gradient of the
+            potential in a cell must be inside all four polygons of the cell. The polygons are
+            ordered cell by cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -428,11 +430,11 @@ class _Search:
     """Calculator of lower bounds on the energy by a potential, approximate and proven.
 
     A potential is a function of the horizontal place whose rise from start to goal gives a lower
-    bound on the energy of every flight. Its gradient is limited by the function G. G is the least
-    value in still air, over all combinations of thrust and airspeed, of the power minus the rates
-    at which momentum, position and kinetic energy change, each times its price (Lagrange
-    multiplier). An approximate bound uses sampled values of G, a proven bound uses proven lower
-    bounds on G.
+    bound on the energy of every flight. Its gradient is limited by the function G. G is a least
+    value over all combinations of thrust and airspeed. The minimised quantity is the power in still
+    air minus three terms: the rates of change of momentum, position and kinetic energy, each times
+    its price (Lagrange multiplier). An approximate bound uses sampled values of G, a proven bound
+    uses proven lower bounds on G.
 
     Parameters
     ----------
@@ -443,7 +445,7 @@ class _Search:
     durations : tuple of float
         Least and greatest duration of the flight [s].
     power : float
-        Power of hover [W], to which tolerances are relative.
+        Power of hover [W]. Tolerances are fractions of this power.
     """
 
     def __init__(
@@ -466,16 +468,21 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return a lower bound on the energy of every flight [J], from a table of the function G.
 
-        The bound is the largest rise, from start to goal, of a potential (a function of the
-        horizontal place), plus terms for height and duration. The gradients that the potential may
-        have in each wind follow from `table`, which has values of G. G is the least value in still
-        air, over all combinations of thrust and airspeed, of the power minus the rates at which
-        momentum, position and kinetic energy of the vehicle change, each times its price (Lagrange
-        multiplier). The gradient of the potential is the price of horizontal displacement. `prices`
-        are the other prices, which are equal at all places of the field; `table` was computed with
-        them, except for the price of time (attribute `power`). The bound is proven if the values in
-        `table` are proven lower bounds on G, and approximate if they are sampled. The result is
-        minus infinity if even the gradient zero is not allowed in one of the winds of the field.
+        A potential is a function of the horizontal place. The bound is the largest rise of a
+        potential from start to goal, plus terms for height and duration. G limits the gradient of
+        the potential in each wind; the docstring of this module defines G. The bound is proven if
+        the values in `table` are proven lower bounds on G, and approximate if they are sampled. The
+        result is minus infinity if even the gradient zero is not allowed in one of the winds of the
+        field.
+
+        Parameters
+        ----------
+        prices : PlacePrices
+            Prices (Lagrange multipliers) of momentum, kinetic energy, height and time, which are
+            equal at all places of the field.
+        table : GradientTable
+            Values of G, computed with `prices`. Only the price of time (attribute `power`) may
+            differ.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -489,9 +496,9 @@ class _Search:
         The bound is a sum of three terms: the rise of a potential from start to goal, a term for
         the height, and `power` times the duration. A larger `power` allows only smaller gradients
         of the potential. `prices` are the Lagrange multipliers in the bound, with the attribute
-        `power` zero; only this attribute is changed. If the least duration is less than half the
-        greatest duration, the duration counts as free, and `power` remains zero. The result is None
-        if these multipliers give no bound.
+        `power` zero; only this attribute is changed. The duration counts as free if the least
+        duration is less than half the greatest duration; `power` then remains zero. The result is
+        None if the multipliers give no bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -517,11 +524,12 @@ class _Search:
         time, which are equal at all places.
 
         The gradients that the potential may have in each wind follow from proven lower bounds on
-        the function G. G is the least value in still air, over all combinations of thrust and
-        airspeed, of the power minus the rates at which momentum, position and kinetic energy of the
-        vehicle change, each times its price. To save time, the lower bounds are computed only for
-        the gradient zero and near the largest gradients that sampled values of G allow. The result
-        is minus infinity if even the gradient zero is not allowed in one of the winds of the field.
+        the function G. G is a least value over all combinations of thrust and airspeed. The
+        minimised quantity is the power in still air minus three terms: the rates of change of
+        momentum, position and kinetic energy, each times its price. To save time, the lower bounds
+        are computed only for the gradient zero and near the largest gradients that sampled values
+        of G allow. The result is minus infinity if even the gradient zero is not allowed in one of
+        the winds of the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)
@@ -552,9 +560,9 @@ def bound_by_places(
 
     The bound is the sum of three terms: the rise of a potential from start to goal, a term for the
     difference in height, and a term for the duration. A potential is a function of the horizontal
-    place. Its slope at each place is limited by the energy of motions in the winds there. The limit
-    and the other two terms depend on the prices, which are the Lagrange multipliers of the total
-    changes of momentum, height and kinetic energy; prices that give a large bound are searched for.
+    place. Its slope at each place is limited by the energy of motions in the winds there. This
+    limit and the other two terms depend on prices: the Lagrange multipliers of the total changes of
+    momentum, height and kinetic energy. The function searches for prices that give a large bound.
     Implements docs/theory/bound.md, eq. (25).
 
     Parameters
@@ -571,7 +579,7 @@ def bound_by_places(
     durations : tuple of float
         Least and greatest duration [s].
     power : float
-        Power of hover [W], to which tolerances are relative.
+        Power of hover [W]. Tolerances are fractions of this power.
 
     Returns
     -------

@@ -66,15 +66,16 @@ class RunResult(Summarised):
         fixes its duration.
     aims : DataFrame
         Comparison of the plans of least energy and of least battery charge, from the function
-        `study.aims.energy_and_charge`. The table is empty with the attitude equations of Yacef et
-        al. (`vehicle.attitude` "paper"), with a user's own model, if the objective is the least
-        time, if the plan is not verified, or if the solve for the other objective fails.
+        `study.aims.energy_and_charge`. The table is empty if the plan is not verified, or if the
+        solve for the other objective fails. It is also empty with a user's own model, with the
+        objective of least time, and with the attitude equations of Yacef et al. (`vehicle.attitude`
+        "paper").
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound. "front" is the time for the tables `front` and
         `aims`. "fly" is the time from the end of planning to the end of the last simulated flight,
-        with the cautions, less the time that this process meanwhile spent on the lower bound, the
-        two tables and the function `meanwhile` of `run_scenario`.
+        including the cautions. The time that this process meanwhile spent on the lower bound, on
+        the two tables and on the function `meanwhile` of `run_scenario` is subtracted from "fly".
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
@@ -250,10 +251,10 @@ def run_scenario(
 ) -> RunResult:
     """Plan a scenario, simulate and compare all flights, and compute the lower bound.
 
-    A solve or a flight that fails is part of the result, not an exception.  On Linux, the flights
-    are simulated in parallel by copies of the process, one per core, if BLAS has one thread
-    (`OMP_NUM_THREADS=1`, as the commands set it).  The run ends after the time that the scenario's
-    field `solver.time_limit` allows; flights that are missing by then become warnings.
+    A solve or a flight that fails is part of the result, not an exception. The run ends after the
+    time that the scenario's field `solver.time_limit` allows. A flight that is not complete by then
+    is replaced by a warning. On Linux, copies of the process simulate the flights in parallel, one
+    per core, if BLAS has one thread (`OMP_NUM_THREADS=1`).
 
     Parameters
     ----------
@@ -375,8 +376,8 @@ def _often(
     tuning : Tuning or None
         Tuned autopilot of the run, which is simulated in the same winds.
     references : sequence of Reference
-        Reference trajectories of the run. If they contain `Reference.CRUISE` but no autopilot was
-        tuned, an autopilot with the scenario's first cruise speed is simulated instead.
+        Reference trajectories of the run. If `tuning` is None and the trajectories contain
+        `Reference.CRUISE`, an autopilot with the scenario's first cruise speed is simulated.
 
     Returns
     -------
@@ -401,12 +402,21 @@ def _priced(
     """Return the flights with the energy that each still needs to reach the exact goal state.
 
     This energy is estimated from the flight's end state with the costates of a plan. The first
-    flight is the plan itself and keeps its own costates, which are valid in the forecast wind. The
-    other flights were simulated in the actual wind. If the actual wind differs from the forecast,
-    another plan is solved for the actual wind, and its costates are used for the other flights.
-    Without a forecast all flights keep the plan's costates. `flights` are the flights of the run,
-    `scenario` is its scenario, `planner` solves the other plan, and `progress` is called at each
-    Ipopt iteration of this solve.
+    flight is the plan itself, made for the forecast wind, and uses its own costates. The other
+    flights were simulated in the actual wind. If the actual wind differs from the forecast, another
+    plan is solved for the actual wind, and the other flights use the costates of that plan. Without
+    a forecast all flights use the costates of the first flight.
+
+    Parameters
+    ----------
+    flights : tuple of Flight
+        Flights of the run, the flight of the plan first.
+    scenario : Scenario
+        Scenario of the run.
+    planner : Planner
+        Solves the plan for the actual wind.
+    progress : callable or None
+        Called at each Ipopt iteration of this solve.
     """
     if scenario.wind.forecast is None or not flights:
         return flights

@@ -20,8 +20,8 @@ class TableColumn(StrEnum):
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
         """Make a column of a table, with the heading `name`.
 
-        `read` takes the object of which a row of the table is made, and returns the row's value in
-        this column.
+        Each row of a table can be made from one object. The function `read` takes this object, and
+        returns the row's value in this column.
         """
         column = str.__new__(cls, name)
         column._value_ = name

@@ -1,8 +1,8 @@
 """Solution of one case of a sweep: the worker's input, the solve, and the output columns.
 
 A case is one variant of the sweep's base scenario, with its own values of the fields that vary. A
-worker receives a `CaseTask`, plans the case's flight or flies an existing plan in the case's
-scenario, and returns a `CaseOutcome`: the row of the sweep's result table.
+worker receives a `CaseTask`. It plans the case's flight, or flies an existing plan in the case's
+scenario. It returns a `CaseOutcome`, the row of the case in the sweep's result table.
 """
 
 import importlib
@@ -162,10 +162,10 @@ class CaseOutcome:
         `task` is the input of the case, and `result` holds its output values, its solution and the
         reason of a failure. Output values that are not finite are dropped, because JSON has no NaN.
         Output values whose size exceeds the constant `LARGEST_OUTPUT` are dropped, too, because
-        sums and squares of larger numbers may overflow. A warm start is a packed initial guess. If
-        the result holds no warm start, for example after a failure, the row holds the warm start
-        that the case received. The children of the case, which are solved after the case, then have
-        an initial guess, too.
+        sums and squares of larger numbers may overflow. A warm start is a packed initial guess. The
+        children of the case, which are solved after the case, start from the warm start in the row.
+        If the result holds no warm start, for example after a failure, the row holds the warm start
+        that the case received.
         """
         # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
@@ -260,9 +260,9 @@ _ERROR_DIGITS = 2
 class _Flown:
     """Flight of a sweep's case, with its plan and scenario.
 
-    `plan` is the plan of the case or, if each case flies the base case's plan, of the base case;
-    `scenario` is the scenario of the case. The properties are quantities of the flight from which
-    the output columns of the sweep are computed.
+    `plan` is the plan that is flown: the plan of the case, or the plan of the base case if all
+    cases fly this one. `scenario` is the scenario of the case. The output columns of the sweep are
+    computed from the properties of this class.
     """
 
     flight: Flight
@@ -279,9 +279,9 @@ class _Flown:
     def repeats(self) -> float:
         """Number of repetitions of the flight that one battery charge permits.
 
-        The charge between the initial and the lowest permitted state of charge counts. Each flight
-        is taken to use as much charge as the first; in truth the falling battery voltage makes the
-        number slightly smaller.
+        The available charge is that between the initial and the lowest permitted state of charge.
+        Every flight is assumed to use as much charge as the first. In truth the battery voltage
+        falls, and the number is slightly smaller.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -513,9 +513,9 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
     """Simulate a controller that tracks the base case's plan in the scenario of a sweep's case.
 
     `task` is the input of the case, with the base scenario of the sweep; `scenario` is the scenario
-    of the case. The result holds the output columns of the flight. The case fails, and the result
-    holds the reason, if the base case's plan is not verified or if two integrators disagree on the
-    flight.
+    of the case. The result holds the output columns of the flight. The case fails if the base
+    case's plan is not verified, or if two integrators disagree on the flight. The result then holds
+    the reason.
     """
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)

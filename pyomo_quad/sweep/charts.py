@@ -48,8 +48,8 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases. Each curve holds the cases in which the fields that vary besides the one
-        on the horizontal axis have the same values.
+        Finished cases. Along each curve only the field on the horizontal axis varies. All other
+        fields are constant.
     quantity : Quantity
         Output column to draw; smaller is better.
     tried : sequence of float
@@ -88,8 +88,8 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases. Each curve holds the cases in which the fields that vary besides the one
-        on the horizontal axis have the same values.
+        Finished cases. Along each curve only the field on the horizontal axis varies. All other
+        fields are constant.
     field : str
         Dotted path of the scenario field on the horizontal axes.
     quantities : sequence of Quantity
@@ -169,8 +169,8 @@ def _name_best(
 
     The curve is drawn for finished cases that differ in the mission duration only. Its name is made
     of the values of the other fields that vary in the sweep. The best duration is the mission
-    duration at which the quantity is least. The text says "at an edge" unless the cases of the next
-    shorter and of the next longer duration both finished.
+    duration at which the quantity is least. The text says "at an edge" if the case of the next
+    shorter or of the next longer duration failed or does not exist.
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ def _name_best(
     tried : sequence of float
         All durations of the sweep, in s, including those of failed cases.
     place : tuple of (LineStyle, int)
-        Style of the curve, which gives the text's colour; and number of the line in which the text
-        is printed, from 0 at the top.
+        Style of the curve, and number of the text's line, from 0 at the top. The style gives the
+        colour of the text.
     """
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
@@ -238,8 +238,8 @@ def draw_heat_map(plane: pd.DataFrame, quantity: Quantity) -> Figure:
     ----------
     plane : DataFrame
         Value of the quantity, in the unit of its column. The index and the columns are the values
-        of the two fields, and their names are the fields' dotted paths. NaN where the case failed;
-        a cross marks these cells.
+        of the two fields, and their names are the fields' dotted paths. A failed case has the value
+        NaN; a cross marks its cell.
     quantity : Quantity
         Output column that is drawn; gives the label and the printed unit.
     """
@@ -280,8 +280,8 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     """Draw an output quantity against the wind direction, in polar coordinates.
 
     The centre of the rose is the least value of all curves, not zero. A star marks the worst
-    direction of each curve: the direction of the greatest value or, for a quantity that should be
-    large, such as a saving, of the least value.
+    direction of each curve. This is the direction of the greatest value. For a quantity that should
+    be large, such as a saving, it is the direction of the least value.
 
     Parameters
     ----------
