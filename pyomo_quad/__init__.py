@@ -1,8 +1,8 @@
 """Minimum-energy flight of a quadrotor in wind: planning, verification and comparison.
 
 A scenario describes vehicle, battery, wind and mission. `load_scenario` reads a scenario file.
-`solve` returns the minimum-energy `Plan` of a scenario. `run_scenario` also simulates flights of
-the same mission under an adaptive controller, for comparison, and returns a `RunResult`.
+`solve` returns the minimum-energy `Plan` of a scenario. `run_scenario` returns a `RunResult`: the
+plan, and simulated flights of the mission under an adaptive controller for comparison.
 `export_plan` writes a plan in the format of an autopilot or simulator. `build_model` returns the
 Pyomo model of a scenario.
 """
@@ -63,8 +63,8 @@ def solve(
 ) -> "Plan":
     """Plan the minimum-energy flight of a scenario, and verify the plan by simulation.
 
-    If the scenario states a risk (the permitted probability that a flight breaks a limit), the
-    limits are tightened by the margins that this risk requires.
+    A scenario may state a risk, the permitted probability that a flight breaks a limit. The plan
+    then keeps a margin to each limit.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def solve(
     Returns
     -------
     Plan
-        The planned flight with its `status`. A solve that fails numerically also returns a plan,
-        whose status and message give the reason; it raises no exception.
+        The planned flight with its `status`. A numerical failure raises no exception: the status
+        and the message of the returned plan give the reason.
 
     Raises
     ------

@@ -1,7 +1,7 @@
 """Type alias `FloatArray` for NumPy arrays of double-precision numbers.
 
-All packages but `pyomo_quad.collocation` import the alias from here. That package must not import
-other parts of `pyomo_quad`, and therefore defines the same alias for itself, in `collocation.mesh`.
+The package `pyomo_quad.collocation` defines an alias of its own in `collocation.mesh`, because it
+must not import other parts of `pyomo_quad`. All other packages import the alias from here.
 """
 
 import numpy as np

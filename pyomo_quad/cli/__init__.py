@@ -1,7 +1,7 @@
 """Command line `pyomo-quad`.
 
-Handlers for signals such as Ctrl-C are installed before the commands are imported, because the
-imports take up to a second.
+The import of the commands takes up to a second. Handlers for signals such as Ctrl-C are therefore
+installed first.
 """
 
 from collections.abc import Sequence
@@ -18,9 +18,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command. By default the arguments of the process are read. In this case
-        signals such as Ctrl-C end the process, and settings of the whole process that make a
-        single command faster are changed by the function `startup.own_process`.
+        Arguments of the command. By default the function reads the arguments of the process, lets
+        signals such as Ctrl-C end the process, and calls `startup.own_process` to make the process
+        faster.
 
     Returns
     -------

@@ -57,9 +57,9 @@ if TYPE_CHECKING:
 class Controller(StrEnum):
     """Controller of a simulated flight.
 
-    `ADAPTIVE` follows a reference with adaptive feedback, `OPEN_LOOP` applies the plan's controls
-    without feedback, `MPC` plans the rest of the mission again and again during the flight, and
-    `SE3` is the controller of the simulator RotorPy.
+    `ADAPTIVE` follows a reference with adaptive feedback. `OPEN_LOOP` applies the plan's controls
+    without feedback. `MPC` plans the rest of the mission again and again during the flight. `SE3`
+    is the controller of the simulator RotorPy.
     """
 
     ADAPTIVE = "adaptive"
@@ -174,7 +174,7 @@ def fly(
 
 
 def is_plan(path: Path) -> bool:
-    """Return whether a path is that of a saved plan (file or report folder), not of a scenario."""
+    """Return True for a saved plan (a file or a report folder), and False for a scenario file."""
     return path.is_dir() or path.suffix == ".npz"
 
 
@@ -212,16 +212,17 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    Under model-predictive control the flight is re-planned: the rest of the mission is planned
-    again and again during the flight. A plan of the whole mission is made before the flight in
-    three cases: the flight follows a plan; the duration of the mission is free; or the flight is
-    re-planned and the time at which it passes a waypoint is free.
+    Under model-predictive control, the flight is re-planned: the controller plans the rest of the
+    mission again and again. A plan of the whole mission is made before the flight if
+
+    - the flight follows a plan,
+    - the duration of the mission is free, or
+    - the flight is re-planned, and the time of a waypoint is free.
 
     Parameters
     ----------
     planner : Planner
-        Planner that makes the plan before the flight and the repeated plans during the flight, and
-        that has the vehicle's equations of motion.
+        Planner of the scenario. It makes all plans, and has the vehicle's equations of motion.
     scenario : Scenario
         Mission and wind.
     controller : Controller
@@ -238,8 +239,8 @@ def _flown(
     Returns
     -------
     tuple of (Scenario, Flight)
-        The mission that was flown, and the flight. If a plan was made, the mission has the plan's
-        duration and passing times of waypoints.
+        The mission that was flown, and the flight. If a plan was made, the mission takes its
+        duration and the times of its waypoints from the plan.
     """
     from pyomo_quad.cli import flying  # noqa: PLC0415  as above
     from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415

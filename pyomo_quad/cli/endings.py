@@ -51,11 +51,10 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    The attribute `has_result` is set once the command has a plan worth reporting: one whose
-    simulated flight arrives and keeps all limits. At the request, a timer starts that ends the
-    process after half a second. If `has_result` is already set, the timer allows a minute instead,
-    in which the command writes its report; a second signal of the user shortens this minute to half
-    a second.
+    A request starts a timer that ends the process after half a second. The command sets the
+    attribute `has_result` when it has a plan whose simulated flight arrives and keeps all limits. A
+    later request starts a timer of one minute, so that the command can write its report. A second
+    signal shortens this minute to half a second.
     """
 
     def __init__(self) -> None:
@@ -65,14 +64,14 @@ class Interruption:
     def request(self, _signal: int, _frame: FrameType | None) -> None:
         """Handle a signal: record the request, and start a timer that ends the process.
 
-        A second signal shortens the time until the end. In a process that runs other code besides
-        the command, such as tests, no timer is set, and a second signal raises KeyboardInterrupt.
-        The arguments are those that Python passes to every signal handler; they are not used.
+        A second signal shortens the time until the end. In a process that also runs other code,
+        such as tests, no timer is set. The arguments are those that Python passes to every signal
+        handler; they are not used.
 
         Raises
         ------
         KeyboardInterrupt
-            At a second signal in a process that runs other code besides the command.
+            At a second signal, in a process that also runs other code.
         """
         if self.is_requested and not _enforce(_PATIENCE_S):
             raise KeyboardInterrupt
@@ -82,23 +81,23 @@ class Interruption:
 
 
 def end_on_signals() -> None:
-    """Install signal handlers with which Ctrl-C, SIGTERM and SIGHUP end this process at once."""
+    """Install signal handlers: Ctrl-C, SIGTERM and SIGHUP then end this process at once."""
     for number in (*_ending_signals(), signal.SIGALRM):
         signal.signal(number, _end)
 
 
 def _ending_signals() -> list[signal.Signals]:
-    """Return the signals that end a command: SIGINT, SIGTERM and, unless ignored, SIGHUP."""
+    """Return the signals that end a command: SIGINT, SIGTERM, and SIGHUP if it is not ignored."""
     is_deaf = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
     return [number for number in _SIGNALS if number != signal.SIGHUP or not is_deaf]
 
 
 def leave(status: int) -> int:
-    """Finish a command with the given exit status, which is returned.
+    """Finish a command, and return the given exit status.
 
-    If a signal has requested the end of the process, the function does not return: the process
-    ends at once with this exit status. Otherwise the function makes Python skip the slow
-    deallocation of objects when the process ends later.
+    If a signal has requested the end of the process, the function ends the process at once, with
+    this exit status. Otherwise the function prepares a quick end: Python will skip the slow
+    deallocation of objects.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -127,10 +126,10 @@ def before_the_end(act: Callable[[], object]) -> None:
 def stop_on_interrupt() -> Iterator[Interruption]:
     """Context manager: record a signal as a request to stop, instead of ending the process.
 
-    A solve inside the ``with`` block checks the record at each iteration, so that it can stop and
-    return its best iterate. The process still ends if the block takes too long after the signal:
-    more than half a second, or more than a minute if the solve has already found a plan whose
-    simulated flight arrives and keeps all limits, so that the command can write a report.
+    A solve inside the ``with`` block checks the record at each iteration. After a request, the
+    solve stops and returns its best iterate. A timer ends the process half a second after the
+    signal. The timer is one minute if the solve has found a plan whose simulated flight arrives and
+    keeps all limits; the command can then write a report.
 
     Yields
     ------
@@ -186,7 +185,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process, unless a timer is already set that ends it sooner.
+    """Set a timer that ends the process; an earlier timer that ends the process sooner is kept.
 
     Parameters
     ----------
@@ -196,8 +195,8 @@ def _enforce(patience_s: float) -> bool:
     Returns
     -------
     bool
-        Whether the process runs only the command. In a process that runs other code, such as
-        tests, no timer is set.
+        Whether the process runs only the command. No timer is set in a process that also runs other
+        code, such as tests.
     """
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]

@@ -34,8 +34,8 @@ from pyomo_quad.study.comparison import has_arrived
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     """Plan the flight that is to be simulated; end the command if no flyable plan is found.
 
-    A plan is flyable if a simulation of the plan's controls without feedback arrives at the goal
-    and keeps all limits.
+    The plan's controls are simulated without feedback. The plan is flyable if the simulated flight
+    arrives at the goal and keeps all limits.
 
     Parameters
     ----------
@@ -52,8 +52,8 @@ def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     Raises
     ------
     Exit
-        If the plan is not flyable. The plan's status and message, which give the reason, are then
-        printed to standard error, and the exit status follows from the plan's status.
+        If the plan is not flyable. The plan's status and message give the reason; they are printed
+        to standard error. The exit status follows from the plan's status.
     """
     plan = plan_at_risk(scenario, planner)
     if plan.is_flyable:
@@ -69,8 +69,8 @@ _Outcome = TypeVar("_Outcome")
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
     """Call the function `fly`, which simulates flights, and return the flights.
 
-    If a flight is impossible, `fly` raises the exception `SolveError`. In this case the message of
-    the exception is printed to standard error, and the command exits.
+    The function `fly` raises `SolveError` if a flight is impossible. The message of the error is
+    then printed to standard error, and the command exits.
 
     Parameters
     ----------
@@ -101,8 +101,6 @@ def fly_declared(
 ) -> Flight:
     """Simulate a flight of the scenario's vehicle by the package's own equations of motion.
 
-    The flight is under feedback control, or without feedback (open loop).
-
     Parameters
     ----------
     planner : Planner
@@ -110,10 +108,10 @@ def fly_declared(
     scenario : Scenario
         Mission and wind.
     reference : Reference or None
-        Reference trajectory that the adaptive controller follows. If None, the plan's controls are
-        applied without feedback. `Reference.CRUISE` is a flight in the manner of an autopilot, at
-        the cruise speed of the scenario or, if the scenario gives none, at the cruise speed with
-        the least energy.
+        Reference trajectory that the adaptive controller follows. None applies the plan's controls
+        without feedback (open loop). `Reference.CRUISE` is a flight in the manner of an autopilot,
+        at the scenario's cruise speed. If the scenario gives none, the cruise speed with the least
+        energy is taken.
     plan : Plan or None
         Plan of the scenario; None if the flight needs no plan.
     """
@@ -149,8 +147,8 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
 def refuse_outside(scenario: Scenario) -> None:
     """Raise an error if the simulator RotorPy is not installed or cannot simulate the scenario.
 
-    RotorPy cannot simulate a wind that acts as an acceleration, as in eq. (9) of Yacef et al.,
-    instead of through the drag.
+    In RotorPy, wind acts through the drag. A wind that acts as an acceleration, as in eq. (9) of
+    Yacef et al., cannot be simulated.
     """
     rotorpy_module(MULTIROTOR)
     refuse_pushing_wind(scenario)
@@ -164,8 +162,8 @@ def fly_rotorpy(
     Parameters
     ----------
     planner : Planner
-        Source of the scenario's compiled model, from which power, battery and wind are computed;
-        the motion is computed by RotorPy.
+        Planner with the scenario's compiled model. The model gives power, battery and wind; RotorPy
+        computes the motion.
     scenario : Scenario
         Mission and wind.
     pilot : str
@@ -185,8 +183,8 @@ def write_flight(
 ) -> dict[str, Any]:
     """Write a flight's trajectory and summary into a folder, and return the summary.
 
-    The trajectory is written as a table over time, the file `flight.csv`. The summary is a mapping
-    with the energy, the duration and the outcome of the flight, written as `summary.json`.
+    The file `flight.csv` has the trajectory as a table over time. The file `summary.json` has the
+    summary: energy, duration and outcome of the flight.
 
     Parameters
     ----------

@@ -344,11 +344,10 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return the scenario of a report, with the times of the reported flight.
+    """Return the scenario of a report, with duration and waypoint times of the reported flight.
 
-    The mission's duration is the duration of the flight. If the report gives the times at which the
-    flight passed the waypoints, the mission's waypoints have these times. The result is None if
-    this version of the package cannot read the scenario.
+    The waypoints keep their own times if the report gives no times. The result is None if this
+    version of the package cannot read the scenario.
 
     Parameters
     ----------

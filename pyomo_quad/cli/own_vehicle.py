@@ -96,8 +96,8 @@ def vehicle(
 def is_asked(*, is_quiet: bool) -> bool:
     """Return whether the command may ask the user for missing data on a terminal.
 
-    It may not if the user has given the option `--quiet` (`is_quiet`), or if standard input or
-    standard output is not a terminal.
+    The result is False if the user has given the option `--quiet` (`is_quiet`). It is also False if
+    standard input or standard output is not a terminal.
     """
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 

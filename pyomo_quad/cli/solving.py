@@ -66,7 +66,7 @@ _EXIT_CODES = {
 class _CommandPlanner(Planner):
     """Planner of a command, which shows progress and stops at signals such as Ctrl-C.
 
-    If the scenario's model cannot be transcribed, a ScenarioError is raised, so that the command
+    The planner raises ScenarioError if the scenario's model cannot be transcribed. The command then
     reports invalid input.
     """
 
@@ -136,11 +136,11 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
     scenario : Scenario
         Scenario to plan.
     options : Options
-        Options of the command: whether to run the Python model builder that the scenario names, and
-        whether to show progress.
+        Options of the command: permission to run the scenario's Python model builder, and choice of
+        progress display.
     keeps_usable : bool, default False
-        Whether a stopped solve returns its best plan so far instead of raising `SolveStopped`, if
-        a simulation confirms that this plan arrives and keeps all limits.
+        Whether a stopped solve returns its best plan instead of raising `SolveStopped`. Only a plan
+        whose simulated flight arrives and keeps all limits is returned.
 
     Raises
     ------
@@ -155,8 +155,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
 def report_folder(folder: Path) -> Iterator[Path]:
     """Context manager: write a new report folder, unless the user stops the solve.
 
-    If the user stops the solve, the command prints one line and exits, and an earlier report in the
-    folder remains unchanged.
+    If the user stops the solve, the command prints one line and exits. An earlier report in the
+    folder then remains unchanged.
 
     Yields
     ------
@@ -178,9 +178,9 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save the best iterate of a stopped solve in a separate folder, if it is nearly feasible.
+    """Save the best iterate of a stopped solve in a separate folder, if nearly feasible.
 
-    The iterate counts as nearly feasible if its relative constraint violation is at most 1e-4.
+    An iterate counts as nearly feasible if its relative constraint violation is at most 1e-4.
 
     Parameters
     ----------
@@ -192,8 +192,8 @@ def _kept(plan: Plan, folder: Path) -> str:
     Returns
     -------
     str
-        Clause for the command's message, which names the separate folder or states that nothing
-        was written.
+        Clause for the command's message: it names the separate folder, or states that nothing was
+        written.
     """
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
@@ -208,9 +208,9 @@ def _kept(plan: Plan, folder: Path) -> str:
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
     """Load a stored plan, and choose the accuracy to which its solve continues.
 
-    An override `solver.accuracy` sets the accuracy. Without this override, the accuracy is the
-    level that the plan's scenario required or, if a simulation has already confirmed the stored
-    plan to that level (the plan is "verified"), the next higher level.
+    An override `solver.accuracy` sets the accuracy. By default, the accuracy is the level that the
+    plan's scenario requires. If a simulation has already confirmed the plan to that level, the
+    accuracy is the next higher level.
 
     Parameters
     ----------
@@ -227,7 +227,7 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     Raises
     ------
     ScenarioError
-        If the folder contains no plan, an override does not change a field of ``solver``, or the
+        If the folder contains no plan; if an override changes a field outside ``solver``; or if the
         stored plan already has the highest accuracy.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
@@ -256,9 +256,8 @@ def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
     The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    False if the scenario states no risk, or if the risk of the plan was not assessed. It is also
-    False if a simulation of the plan's controls does not confirm the plan, because such a plan must
-    not be flown, whatever its risk.
+    False if the scenario states no risk, or if the risk of the plan was not assessed. The result is
+    also False for a plan that a simulation does not confirm; such a plan must not be flown anyway.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
@@ -308,8 +307,8 @@ _TEXTS = ("scenario", "flight")
 def verdict_lines(plan: Plan) -> Iterator[str]:
     """Yield the lines to print on a plan.
 
-    They state the plan's status, energy and estimated error, and the probability that a flight
-    breaks a limit; for a failed plan, they state the causes of the failure.
+    The lines give the plan's status, energy and estimated error, and the probability that a flight
+    breaks a limit. For a failed plan, the lines give the causes of the failure.
     """
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
@@ -367,8 +366,8 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
     """Yield the lines and the table to print on a run: headline, plan, flights and lower bound.
 
-    A run is a plan together with the baseline flights with which it is compared. Every
-    flight of the mission needs at least the energy of the lower bound.
+    A run consists of a plan and of other flights of the mission for comparison. No flight of the
+    mission needs less energy than the lower bound.
     """
     headline = headline_of(result)
     if headline is not None:
@@ -396,7 +395,7 @@ def _certificate_lines(result: "RunResult") -> Iterator[str]:
 
 
 def comparison_table(comparison: "pd.DataFrame") -> Table:
-    """Make a table, to be printed on the terminal, of the flights of one or more scenarios.
+    """Make a table of the flights of one or more scenarios, for the terminal.
 
     Parameters
     ----------
@@ -406,10 +405,10 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        One row for each flight: its scenario, name, total energy, duration, energy above hovering,
-        final distance from the goal and outcome, and the saving, the percentage of the flight's
-        energy by which the plan needs less. Empty columns are left out, for example the savings if
-        no flight has one. The column of scenarios is left out if there is only one scenario.
+        One row for each flight. The columns are scenario, name, total energy, saving, duration,
+        energy above hovering, final distance from the goal, and outcome. The saving is the
+        percentage of the flight's energy that the plan saves. Empty columns are left out. The
+        column of scenarios is left out if there is only one scenario.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")
@@ -443,7 +442,8 @@ def answer(
     folder : Path
         Report folder.
     options : Options
-        Options of the command: whether to print nothing, or the summary as JSON instead of lines.
+        Options of the command. With `--json`, the summary is printed instead of the lines. With
+        `--quiet` but not `--json`, nothing is printed.
     """
     if options.as_json:
         print(summary_text(summary), end="")

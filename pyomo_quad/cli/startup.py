@@ -1,8 +1,8 @@
 """Faster start of a process that runs a single command.
 
-The functions change settings of the whole process, which a library must not do, but a command may,
-because its process runs nothing else. `own_process` limits threads and garbage collection, and
-`import_scipy_alone` avoids slow imports. Together they save about a second.
+The functions change settings of the whole process. This is only permitted in a process that runs
+nothing but a command. `own_process` limits threads and garbage collection. `import_scipy_alone`
+avoids slow imports. Together they save about a second.
 """
 
 import gc
@@ -18,9 +18,9 @@ _is_own = False
 
 
 def own_process() -> None:
-    """Make a process that runs a single command faster: one BLAS thread, rare garbage collection.
+    """Make the process of a command faster: one BLAS thread, rare garbage collection.
 
-    If the environment variable for the number of BLAS threads is set, it is not changed.
+    A number of BLAS threads that the user has set by an environment variable is kept.
     """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
@@ -32,11 +32,10 @@ def own_process() -> None:
 def import_scipy_alone() -> None:
     """Prevent Pyomo from importing further slow modules when SciPy or matplotlib is imported.
 
-    Pyomo installs import hooks. When SciPy or matplotlib is first imported, the hooks import
-    further modules that Pyomo may need later. These imports take half a second for SciPy and half a
-    second for matplotlib. This function removes the hooks, after the hook for NumPy has run. Pyomo
-    then imports the further modules only when it uses them. In a process that runs other code
-    besides the command, such as tests, the function does nothing.
+    When SciPy or matplotlib is first imported, import hooks of Pyomo import further modules that
+    Pyomo may need later. This takes half a second each for SciPy and matplotlib. The function
+    removes the hooks, after the hook for NumPy has run. Pyomo then imports the modules only when it
+    uses them. In a process that also runs other code, such as tests, the function does nothing.
     """
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
         importlib.import_module("numpy")

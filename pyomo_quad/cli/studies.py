@@ -1,7 +1,7 @@
 """Commands that run a study and write its report.
 
 The studies are the experiments of Yacef et al., whose model the package implements; steady flight
-(`polar`, `reach`); flights in the simulator RotorPy; and identification of vehicles from measured
+(`polar`, `reach`); flights in the simulator RotorPy; and the fit of vehicle models to measured
 flights.
 """
 
@@ -77,8 +77,8 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
     Yields
     ------
     Path, list of str
-        A temporary folder to write into, which becomes the report folder, and a list to which the
-        ``with`` block appends the lines of results to print.
+        A temporary folder to write into, and an empty list. The temporary folder becomes the report
+        folder. The ``with`` block appends the lines to print to the list.
     """
     lines: list[str] = []
     with output_folder(folder) as aside:
@@ -96,8 +96,8 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
     Yields
     ------
     callable or None
-        Function that is called after each experiment with the experiment's name, the number of
-        finished experiments and the number of all experiments; None if no progress is shown.
+        Function to call after each experiment, with the experiment's name, the number of finished
+        experiments and the number of all experiments. None if no progress is shown.
     """
     console = error_console()
     if is_quiet or not console.is_terminal:
@@ -377,19 +377,19 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    A parameter that the measurements do not determine keeps the value before the fit. Its line
-    states this, and names the other parameter from which the measurements cannot distinguish it. If
-    the measurements determine a parameter, but its value lies at the end of the permitted range,
-    the line states that.
+    The measurements may not determine a parameter. The parameter then keeps its value before the
+    fit, and its line says so. The line also names a second parameter if the measurements cannot
+    tell the effects of the two apart. The line of a determined parameter says if the value lies at
+    the end of the permitted range.
 
     Parameters
     ----------
     parameters : sequence
         The fitted parameters.
     together : sequence of (str, str)
-        For each parameter that the measurements do not determine: its name, and the name of the
-        parameter whose effect on the power is most similar. The second name is "" if no parameter
-        has a similar effect; the line then names no other parameter.
+        For each parameter that is not determined: its name, and the name of the parameter with the
+        most similar effect on the power. The second name is "" if no parameter has a similar
+        effect.
     """
     partners = dict(together)
     for one in parameters:
@@ -439,15 +439,14 @@ def _read(
     vehicle : str
         Description of the vehicle: the name of a vehicle in the library, or a vehicle file.
     flights : Path or None
-        CSV file with the columns "flight" and "split". Only the flights whose "split" is "fit" are
-        returned; None returns all flights.
+        CSV file with the columns "flight" and "split". The flights whose "split" is "fit" are
+        returned. If the argument is None, all flights are returned.
 
     Returns
     -------
     tuple of (Scenario, DataFrame, DataFrame)
-        Scenario with the vehicle, table of the samples of the returned flights, and table of the
-        samples of their battery voltage. The last table is empty if any file in `logs` lacks the
-        voltage.
+        Scenario with the vehicle, samples of the returned flights, and samples of their battery
+        voltage. The last table is empty if any file in `logs` lacks the voltage.
     """
     import pandas as pd  # noqa: PLC0415
 

@@ -147,7 +147,7 @@ _SECONDS_OF_MEMORY = 60.0
 
 @contextmanager
 def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
-    """Context manager: show the progress of a sweep, as a bar on a terminal, otherwise as lines.
+    """Context manager: show the progress of a sweep, as a bar on a terminal or as lines.
 
     A sweep solves many variants of a scenario; each variant is a case.
 
@@ -159,8 +159,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     Yields
     ------
     SweepListener
-        The progress display, which is to be given to the sweep. The sweep informs the display of
-        each finished case.
+        The progress display. Pass it to the sweep, which calls its methods.
     """
     console = error_console()
     if not console.is_terminal:

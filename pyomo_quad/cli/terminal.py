@@ -54,8 +54,8 @@ def complain(message: str) -> None:
 def claim_streams() -> bool:
     """Replace closed standard streams by the null device, so that the process can print safely.
 
-    The function also sets standard output and standard error so that characters which the terminal
-    cannot encode are printed as escape sequences.
+    On standard output and standard error, characters that the terminal cannot encode are printed as
+    escape sequences from then on.
 
     Returns
     -------
@@ -80,8 +80,8 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    An example is the error that a closed pipe causes. If the result is True, the function has also
-    redirected standard output to the null device, so that all further output is discarded.
+    A closed pipe causes such an error. If the result is True, the function has also redirected
+    standard output to the null device, which discards all further output.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False
@@ -103,7 +103,7 @@ _SECONDS_BETWEEN_LINES = 10.0  # in a log file; a shorter solve writes no line
 def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
     """Context manager: show the progress of a search for a plan in one line on the terminal.
 
-    If standard error is not a terminal, a line is printed every ten seconds instead.
+    If standard error is not a terminal, the line is printed every ten seconds.
 
     Parameters
     ----------
@@ -113,7 +113,8 @@ def live_line(*, is_quiet: bool) -> Iterator[Callable[["State"], None] | None]:
     Yields
     ------
     callable or None
-        Function to call with the state of the search at each iteration; None if `is_quiet`.
+        Function to call with the state of the search at each iteration of the solver; None if
+        `is_quiet`.
     """
     if is_quiet:
         yield None
@@ -144,13 +145,13 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return a line on `now`, the present state of a search for a plan, for the progress display.
+    """Return the line of the progress display for `now`, the state of a search for a plan.
 
-    The line gives the stage of the search, the energy of the solution on the last mesh that was
-    solved, the relative change of this energy from the solution on the mesh before, the iteration
-    of the solver, the number of mesh points and the processor time. The line also says "usable" if
-    the search has found a plan that a simulation confirms at lower accuracy than requested; the
-    search returns this plan if the user stops it.
+    A search solves the mission on finer and finer meshes. The line gives the stage of the search,
+    the energy on the last solved mesh, and the relative change of the energy from the mesh before.
+    It also gives the solver's iteration, the number of mesh points and the processor time. The word
+    "usable" means that the search already has a plan that a simulation confirms at lower accuracy
+    than requested. If the user stops the search, this plan is returned.
     """
     best = "no energy yet"
     if isfinite(now.energy_J):
@@ -237,8 +238,8 @@ class Options:
 def with_options(command: Callable[..., int]) -> Callable[..., int]:
     """Give a command the command-line options that are the fields of `Options`.
 
-    The function `command` has a parameter `options`. In the returned function, this parameter is
-    replaced by a parameter for each field of `Options`.
+    The function `command` has a parameter `options`. The returned function has one parameter for
+    each field of `Options` instead.
     """
     own, shared = signature(command), signature(Options).parameters
     kept = [one for one in own.parameters.values() if one.name != "options"]

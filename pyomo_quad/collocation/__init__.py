@@ -1,7 +1,7 @@
 """Flipped-Radau collocation of any Pyomo.DAE model, solved with Ipopt.
 
 `solve` transcribes and solves a model in a single call. `compile` translates a model into CasADi
-functions once, and returns a problem whose method `solve` can be called repeatedly with other
+functions, and returns a problem. The problem's method `solve` can be called repeatedly, with other
 parameter values, horizons and meshes, without another compilation.
 """
 
@@ -109,20 +109,22 @@ def compile(  # noqa: A001  as casadi, re and builtins do
     Parameters
     ----------
     model : ConcreteModel
-        Model whose continuous sets are not discretised; it may have none, one or several.
+        Model whose continuous sets are not discretised. It may have no continuous set, one or
+        several.
     final_time : Var, optional
-        Static variable (variable without time) that is the free end of the horizon, for a model
-        with one continuous set.
+        Static variable (a variable without time) that is the free end of the horizon. Only for a
+        model with one continuous set.
     times : mapping, optional
-        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-        continuous set), and the value is a static variable. The solve determines the variable,
-        which is the physical time at which the conditions declared at 1.0 hold. For a model with
-        several continuous sets, such a mapping for each set, by the set's name.
+        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time, a member of the
+        continuous set. The value is a static variable: the physical time of all conditions declared
+        at 1.0. The solve determines this time. For a model with several continuous sets: a mapping
+        from the name of each set to its free times.
 
     Returns
     -------
     Problem or JointProblem
-        A `JointProblem` for a model with several continuous sets, which have a horizon each.
+        `JointProblem` for a model with several continuous sets, each of which has its own horizon;
+        otherwise `Problem`.
 
     Raises
     ------
@@ -156,52 +158,56 @@ def solve(
 ) -> Solution | JointSolution:
     """Compile and solve a Pyomo.DAE model, and load the solution into the model.
 
-    The model's variables receive values at the declared times, the members of a continuous set.
+    The variables of the model receive their values at all members of the continuous sets.
 
     Parameters
     ----------
     model : ConcreteModel
-        Model whose continuous sets are not discretised; it may have none, one or several.
+        Model whose continuous sets are not discretised. It may have no continuous set, one or
+        several.
     final_time : Var, optional
-        Static variable (variable without time) that is the free end of the horizon, for a model
-        with one continuous set.
+        Static variable (a variable without time) that is the free end of the horizon. Only for a
+        model with one continuous set.
     times : mapping, optional
-        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-        continuous set), and the value is a static variable. The solve determines the variable,
-        which is the physical time at which the conditions declared at 1.0 hold. For a model with
-        several continuous sets, such a mapping for each set, by the set's name.
+        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time, a member of the
+        continuous set. The value is a static variable: the physical time of all conditions declared
+        at 1.0. The solve determines this time. For a model with several continuous sets: a mapping
+        from the name of each set to its free times.
     mesh : Mesh or mapping, optional
-        Used unchanged if no `tolerance` is given; otherwise the initial mesh. For a model with
-        several continuous sets, a mesh for all sets, or a mapping from the sets' names to meshes.
+        Mesh of the solve; if a `tolerance` is given, only the initial mesh. For a model with
+        several continuous sets: a mesh for all sets, or a mapping from the sets' names to meshes.
     tolerance : float, optional
-        Required relative error of the states; default 1e-6 if no mesh is given.
+        Required relative error of the states, for which the mesh is refined. The default is 1e-6 if
+        no mesh is given; a given mesh is by default not refined.
     parameters : mapping, optional
-        New values of mutable parameters, by component or full name; a function of time for a
-        parameter over time.
+        New values of mutable parameters. A key is a parameter or its full name. The value of a
+        parameter over time is a function of time.
     horizon : (float, float), optional
-        Start and end of the horizon, in place of the ends of the continuous set; not supported for
+        Start and end of the horizon, in place of the ends of the continuous set. Not supported for
         several continuous sets.
     guess : mapping, optional
-        Initial values by the name of a variable: a function of time, a constant, or samples at the
-        times under the key "time". For a model with several continuous sets, a key may also be the
-        name of a set, and its value a mapping of this kind for the variables over this set.
+        Initial values by the name of a variable. A value is a function of time, a constant, or a
+        sequence of samples; the key "time" then has the times of the samples. For a model with
+        several continuous sets, a key may also be the name of a set; the value is then a guess for
+        the variables over the set.
     warm_start : Solution, WarmStart, JointSolution or tuple of WarmStart, optional
-        Solution of the same model on any mesh, from which the solve starts; for a model with
-        several continuous sets, one of the last two types.
+        Solution of the same model on any mesh, from which the solve starts. For a model with
+        several continuous sets: a `JointSolution`, or a tuple of `WarmStart`.
     options : SolverOptions, optional
         Settings of Ipopt.
     refinement : RefinementOptions, optional
         Settings of the mesh refinement.
     starts : int, default 1
-        Number of initial points on the first mesh, all but one random between the bounds; the best
-        optimum is kept. Only 1 is supported for several continuous sets.
+        Number of initial points from which the first mesh is solved; the best optimum is kept. All
+        but one point are random between the bounds. Only 1 is supported for several continuous
+        sets.
     progress : callable, optional
         Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
 
     Returns
     -------
     Solution or JointSolution
-        A `JointSolution` for a model with several continuous sets.
+        `JointSolution` for a model with several continuous sets, otherwise `Solution`.
 
     Raises
     ------

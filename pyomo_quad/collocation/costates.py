@@ -1,7 +1,7 @@
 """Costates of a solution, computed from its multipliers, and estimates of the costates' errors.
 
-The covector mapping relates the multipliers of the collocation equations, divided by the quadrature
-weights, to the costates of the optimal control problem.
+By the covector mapping, the multipliers of the collocation equations are divided by the quadrature
+weights to obtain the costates of the optimal control problem.
 
 Derivation and sign rule: see docs/theory/transcription.md, eqs. (9) to (13).
 """
@@ -42,12 +42,10 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    The object has two approximations of the costates at the collocation points. The attribute
-    `stages` is computed directly from the multipliers of the collocation equations; the order of
-    convergence of `stages` is lower by 1 than the order of the states. The attribute `at_points` is
-    more accurate: it is computed by integrating the adjoint equations over each element, from the
-    left end of the element, with the multipliers inserted in the right-hand side of these
-    equations.
+    The costates at the collocation points are given in two approximations. `stages` comes directly
+    from the multipliers of the collocation equations. Its order of convergence is lower by 1 than
+    the order of the states. `at_points` is more accurate. It comes from integrating the adjoint
+    equations over each element, with the multipliers on the right-hand side.
 
     Attributes
     ----------
@@ -62,8 +60,8 @@ class Costates:
     hamiltonian : ndarray, shape (n_points,)
         Hamiltonian of the minimised objective, per unit of time.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon, but at least 1e-9 a / b, where a is the
-        magnitude of the objective, and b the largest magnitude of the state over the horizon.
+        Largest magnitude of each costate over the horizon, but at least 1e-9 a / b. Here a is the
+        magnitude of the objective, and b is the largest magnitude of the state over the horizon.
     """
 
     mesh: Mesh
@@ -94,13 +92,12 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix that maps values at an element's nodes to the residuals of a smooth fit.
+    """Return the matrix from values at an element's nodes to their residuals from a smooth fit.
 
-    For an element of degree d, the fit is the least-squares polynomial of degree d - 2. The nodes
-    are the left end and the d collocation points, so that the matrix has shape (d + 1, d + 1).
+    The nodes of an element of degree d are the left end and the d collocation points. The fit is
+    the least-squares polynomial of degree d - 2. The matrix has shape (d + 1, d + 1).
 
-    `costate_errors_of` uses the residuals to detect multipliers that do not vary smoothly over the
-    element.
+    Large residuals show that a multiplier does not vary smoothly over the element.
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -114,8 +111,8 @@ def _by_degree(mesh: Mesh) -> list[tuple[int, np.ndarray, np.ndarray]]:
     Returns
     -------
     list of (int, ndarray, ndarray)
-        For each degree: the degree, the indices of its k elements, shape (k,), and the indices of
-        their collocation points, shape (k, degree).
+        For each degree, a tuple of the degree, the indices of the k elements of this degree, shape
+        (k,), and the indices of the elements' collocation points, shape (k, degree).
     """
     degrees = np.asarray(mesh.degrees)
     groups = []
@@ -136,8 +133,8 @@ def costates_of(
 ) -> Costates:
     """Compute costates and Hamiltonian from the multipliers of a nonlinear program.
 
-    The covector mapping relates the multipliers of the collocation equations, divided by the
-    quadrature weights, to the costates of the optimal control problem.
+    By the covector mapping, the multipliers of the collocation equations are divided by the
+    quadrature weights to obtain the costates of the optimal control problem.
 
     Parameters
     ----------
@@ -148,13 +145,12 @@ def costates_of(
     multipliers : Multipliers
         Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of unknowns and constraints. If a state has a bound at a single time, the bound's
-        multiplier is left out of the adjoint equations of the element that ends at this time.
+        Bounds of unknowns and constraints. The multiplier of a bound on a state at a single time is
+        left out of the adjoint equations.
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
-        Magnitude of the objective. A costate counts as zero if its product with the largest
-        magnitude of its state is below 1e-9 times the magnitude of the objective.
+        Magnitude of the objective. It sets the least value of `Costates.sizes`.
 
     Returns
     -------
@@ -193,11 +189,9 @@ def _products(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the gradients of a weighted sum of path equations and integrands.
 
-    The sum has a value at each collocation point. Its gradients are taken with respect to the
-    states, and with respect to the rates (derivatives of the states with respect to the fraction of
-    the horizon). The adjoint equations, by which costates are computed, contain these gradients.
-    A path equation is a constraint that is imposed at every collocation point; the integrands are
-    those of the model's integrals.
+    A path equation is a constraint that is imposed at every collocation point. The integrands are
+    those of the model's integrals. The sum is formed at each collocation point. Its gradients occur
+    in the adjoint equations of the costates.
 
     Parameters
     ----------
@@ -211,8 +205,9 @@ def _products(
     Returns
     -------
     ndarray, ndarray
-        Gradient with respect to the rates, and gradient with respect to the states, each of shape
-        (n_points, n_states).
+        Gradient with respect to the rates (derivatives of the states with respect to the fraction
+        of the horizon), and gradient with respect to the states. Each has shape (n_points,
+        n_states).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
@@ -228,12 +223,11 @@ def _bound_multipliers(
     """Return the multipliers of the bounds on states at the collocation points.
 
     The result has shape (n_points, n_states). An entry is the multiplier of the upper bound minus
-    the multiplier of the lower bound. An entry is 0 where the state is fixed, and where a bound is
-    imposed at a single time only, such as an end condition.
+    the multiplier of the lower bound. An entry is 0 if the state is fixed at the point. An entry is
+    also 0 if the bound is imposed at a single time only, such as an end condition.
 
-    `program` is the nonlinear program of the optimal control problem on one mesh. `multipliers` are
-    the multipliers of the program's constraints and of the bounds on its unknowns. `bounds` are the
-    bounds of the program's unknowns and constraints.
+    `program` is the nonlinear program on one mesh. `multipliers` are the multipliers of its
+    constraints and bounds. `bounds` are the bounds of its unknowns and constraints.
     """
     is_held = bounds.lower == bounds.upper
     for limit in limits_at_points(program):
@@ -254,16 +248,14 @@ def costate_errors_of(
 
     The error is relative to the magnitude of the costate, `costates.sizes`.
 
-    The costates at the collocation points (`costates.at_points`) were computed by integrating the
-    adjoint equations with the multipliers (`costates.stages`) in the right-hand side. Where the
-    solution is smooth, the adjoint equations are integrated a second time, with
-    `costates.at_points` in place of `costates.stages`. The estimate is twice the resulting change
-    of each costate.
+    The estimate is the larger of two errors:
 
-    A limit on a state that becomes active or inactive inside an element may cause a jump of the
-    costates at an unknown time in that element. If the limit's multiplier does not vary smoothly
-    over an element, the estimate therefore includes the multiplier's full effect on all costates in
-    the element.
+    - Integration. `costates.at_points` results from adjoint equations with `costates.stages` on the
+      right-hand side. The adjoint equations are integrated again, with `costates.at_points` on the
+      right-hand side. The error is twice the change of each costate.
+    - Jumps. A limit on a state that becomes active or inactive inside an element may cause a jump
+      of the costates at an unknown time. If the multiplier of the limit does not vary smoothly over
+      the element, the error is the multiplier's full effect on all costates in the element.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Diagnosis of a failed solve: most violated equations, active limits, and least relaxation.
 
-The least relaxation is the least amount by which the model's limits must be relaxed until all
-equations can be satisfied.
+The least relaxation is the least amount by which the model's limits must be relaxed to satisfy all
+equations.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    Here `value` is the value of a constraint or of an unknown of the nonlinear program. The
-    diagnosis solves an elastic program, which relaxes the limits by as little as possible. The
-    slack is a non-negative unknown of this program. All limits that one component of the model
-    declares (a family) share a slack.
+    Here `value` is the value of a constraint or of an unknown of the nonlinear program. A family
+    consists of all limits that one component of the Pyomo model declares. Each family has one
+    slack, a non-negative number. The diagnosis determines the least slacks by solving another
+    nonlinear program, the elastic program.
 
     Attributes
     ----------
@@ -61,8 +61,8 @@ class SoftRows:
     limit : ndarray, shape (n,)
         Value of the limit.
     size : ndarray, shape (n,)
-        Reference magnitude: the larger of the limit's magnitude and the reciprocal of the scaling
-        factor of the limited constraint or unknown.
+        Reference magnitude. It is the magnitude of the limit, or the reciprocal of the scaling
+        factor of the limited constraint or unknown if the reciprocal is larger.
     names : tuple of str
         Names of the families.
     """
@@ -91,19 +91,18 @@ class SoftRows:
         program : Transcription
             The nonlinear program.
         bounds : Bounds
-            Bounds of the program's unknowns and constraints, from which the limits on constraints
-            are taken.
+            Bounds of the program. They include the limits on constraints.
         scaling : Scaling
-            Scaling factors of unknowns and constraints, from which the reference magnitudes follow.
+            Scaling factors of unknowns and constraints, for the reference magnitudes.
         limits : list of Limit
             Limits on unknowns, with the name of the Pyomo component that declares each limit.
         families : frozenset of str, optional
-            Names of the components whose limits are collected; all by default.
+            Names of the Pyomo components whose limits are collected; all by default.
 
         Raises
         ------
         TranscriptionError
-            If the families have no limits.
+            If these components declare no limits.
         """
         entries = [*_soft_unknowns(limits, scaling), *_soft_program_rows(program, bounds, scaling)]
         chosen = [
@@ -134,11 +133,20 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    `limits` are the limits on unknowns that the Pyomo model declares. A limit with a lower and an
-    upper side gives two one-sided limits for each unknown. The reference magnitude of a limit
-    follows from the unknown's scaling factor in `scaling`. The items are tuples (name of the
-    component that declares the limit, -1 in place of the index of a constraint, index of the
-    unknown, 1 for an upper or -1 for a lower limit, value of the limit, reference magnitude).
+    A limit with a lower and an upper side gives two one-sided limits for each unknown.
+
+    Parameters
+    ----------
+    limits : list of Limit
+        Limits on unknowns that the Pyomo model declares.
+    scaling : Scaling
+        Scaling factors of the unknowns. The reciprocal of a factor is a reference magnitude.
+
+    Yields
+    ------
+    (str, int, int, float, float, float)
+        Name of the component that declares the limit; -1 (no constraint); index of the unknown;
+        1 for an upper or -1 for a lower limit; value of the limit; reference magnitude.
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):
@@ -153,12 +161,23 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
 
-    The constraints of the nonlinear program `program` that count here are the path inequalities at
-    each collocation point, and the constraints that are imposed at single times, such as boundary
-    conditions. `bounds` has their lower and upper limits, and the reference magnitudes follow from
-    the scaling factors in `scaling`. The items are tuples (name of the declaring component, index
-    of the constraint, -1 in place of the index of an unknown, 1 for an upper or -1 for a lower
-    limit, value of the limit, reference magnitude).
+    The limits are those of path inequalities at each collocation point, and those of conditions at
+    single times, such as boundary conditions.
+
+    Parameters
+    ----------
+    program : Transcription
+        The nonlinear program.
+    bounds : Bounds
+        Lower and upper limits of the constraints.
+    scaling : Scaling
+        Scaling factors of the constraints. The reciprocal of a factor is a reference magnitude.
+
+    Yields
+    ------
+    (str, int, int, float, float, float)
+        Name of the component that declares the limit; index of the constraint; -1 (no unknown);
+        1 for an upper or -1 for a lower limit; value of the limit; reference magnitude.
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -183,21 +202,20 @@ _ELASTIC = SolverOptions(tolerance=1e-7, max_iterations=300)
 
 @dataclass(frozen=True, kw_only=True)
 class Residual:
-    """Equation that a failed solve violates, with the violation in the equation's own unit.
+    """Equation that a failed solve violates, and the amount of the violation.
 
-    The violation is evaluated at the best iterate, the point with the least constraint violation
-    that the solve found.
+    The violation is that of the best iterate: the point with the least constraint violation that
+    the solve found.
 
     Attributes
     ----------
     name : str
         Full name of the equation.
     element : int, optional
-        Index of the element in which the equation is violated, from 0; None for an equation that
-        is not imposed at every collocation point, such as a condition at a single time.
+        Index of the element in which the equation is violated, from 0. None for an equation that is
+        not imposed at every collocation point, such as a condition at a single time.
     time : float, optional
-        Physical time of the collocation point at which the equation is violated; None if `element`
-        is None.
+        Physical time at which the equation is violated; None if `element` is None.
     violation : float
         Distance of the equation's value from its bounds.
     unit : str
@@ -248,10 +266,10 @@ class ActiveLimit:
 class Relaxation:
     """Amount by which a component's limits are relaxed to make an infeasible problem feasible.
 
-    A component is a constraint or a variable of the Pyomo model; its limits share one relaxation.
-    To make the problem feasible, the limits of several components may have to be relaxed together.
-    A diagnosis finds the relaxations of all components whose sum, each divided by the magnitude of
-    the component's limits, is least. An object of this class is the relaxation of one component.
+    A component is a constraint or a variable of the Pyomo model. All limits of a component share
+    one relaxation. The limits of several components may have to be relaxed together. A diagnosis
+    divides each relaxation by the magnitude of the component's limits, and minimises the sum of
+    these ratios. An object of this class is the relaxation of one component.
 
     Attributes
     ----------
@@ -287,12 +305,11 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Least sum, over the components that declare limits, of the relative amounts by which their
-        limits must be relaxed until all equations can be satisfied; infinite if the computation
-        did not converge.
+        Sum of the relative relaxations of all components' limits: the least sum with which all
+        equations can be satisfied. Infinite if the computation did not converge.
     relaxations : tuple of Relaxation
-        Components whose limits must be relaxed, all of them together, to make the problem feasible;
-        empty if all limits can be satisfied.
+        Relaxations of the components whose limits must all be relaxed to make the problem feasible.
+        Empty if all limits can be satisfied.
     feasible_point : Trajectory or None
         A trajectory that satisfies all equations and limits, if one was found.
     """
@@ -307,7 +324,7 @@ class Diagnosis:
     def is_infeasible(self) -> bool:
         """Whether the problem has no feasible point near the best iterate of the failed solve.
 
-        False also if the diagnosis could not compute the least violation.
+        The result is also False if the diagnosis could not compute the least violation.
         """
         return np.isfinite(self.least_violation) and self.feasible_point is None
 
@@ -320,18 +337,18 @@ def diagnose(
 ) -> Diagnosis:
     """Find the reasons for the failure of a solve.
 
-    The limits of the model are relaxed by as little as possible until all equations can be
-    satisfied (an elastic program).
+    The diagnosis solves an elastic program, which relaxes the limits of the model by as little as
+    possible to satisfy all equations.
 
     Parameters
     ----------
     solution : Solution
-        The result of a solve that did not converge; its unknowns are the best iterate, the point
+        The result of a solve that did not converge. Its unknowns are the best iterate: the point
         with the least constraint violation that the solve found.
     families : frozenset of str, optional
         Names of the components whose limits may be relaxed; all by default.
     progress : callable, optional
-        Called at each iteration of the elastic program; returning False stops its solve.
+        Called at each iteration of the elastic program's solve; returning False stops the solve.
 
     Returns
     -------
@@ -340,7 +357,8 @@ def diagnose(
     Raises
     ------
     TranscriptionError
-        If none of the families has a limit that could be relaxed, or there are several horizons.
+        If the components declare no limit that could be relaxed, or if the model has several
+        horizons.
 
     Examples
     --------
@@ -378,28 +396,27 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Solve the elastic program: minimise the sum of the slacks by which limits are relaxed.
 
-    The elastic program has the constraints of the nonlinear program of the failed solve, the
-    original program, but its limits are relaxed by non-negative slacks. All limits that one
-    component of the model declares (a family) share a single slack, an upper bound on the relative
-    violation of every limit in the family.
+    The original program is the nonlinear program of the failed solve. The elastic program has the
+    same constraints, but relaxes the limits by non-negative slacks. A family consists of all limits
+    that one component of the Pyomo model declares. Each family has one slack, an upper bound on the
+    relative violation of each limit in the family.
 
     Parameters
     ----------
     solution : Solution
-        Result of the failed solve, with the original program. The elastic program is solved from
-        the unknowns of this result.
+        Result of the failed solve, with the original program. The solve of the elastic program
+        starts from the unknowns of this result.
     soft : SoftRows
-        Limits that may be violated. Limits that are bounds on unknowns in the original program
-        become constraints of the elastic program.
+        Limits that may be violated. Bounds on unknowns of the original program become constraints
+        of the elastic program.
     progress : callable or None
         Called at each iteration of Ipopt; returning False stops the solve.
 
     Returns
     -------
     IpoptResult
-        Ipopt's result. Its unknowns are the unknowns of the original program, then the relative
-        violation of each limit in `soft` that is a limit on a constraint of the original program,
-        then one slack for each family.
+        Ipopt's result. Its unknowns are, in this order: the unknowns of the original program; the
+        relative violation of each limit on a constraint; and the slack of each family.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)
@@ -449,9 +466,9 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
 def _residuals(solution: Solution) -> tuple[Residual, ...]:
     """Return the ten equations with the largest scaled violations at the best iterate.
 
-    The best iterate is the point with the least constraint violation that the failed solve found;
-    it is the point of `solution`, the result of that solve. The largest violation comes first.
-    Equations that are satisfied are left out.
+    The best iterate is the point with the least constraint violation that the failed solve found.
+    It is stored in `solution`, the result of the failed solve. The largest violation comes first.
+    Satisfied equations are left out.
     """
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
@@ -476,8 +493,8 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
     """Return the limits that are active at the best iterate, one item per model component.
 
-    The best iterate is the point with the least constraint violation that the failed solve found;
-    it is the point of `solution`, the result of that solve. `soft` has the one-sided limits to
+    The best iterate is the point with the least constraint violation that the failed solve found.
+    It is stored in `solution`, the result of the failed solve. `soft` has the one-sided limits to
     examine. Limits on unknowns with a fixed value are left out.
     """
     values = solution.program.constraints(solution.unknowns)
@@ -503,13 +520,19 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 
 
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
-    """Return the relaxations that a diagnosis reports, the largest relative relaxation first.
+    """Return the relaxations of limits that make the problem feasible.
 
-    A relaxation is the amount by which the limits of one model component (a family of limits) must
-    be relaxed to make the problem feasible. `solution` is the result of the failed solve, from
-    which units are read. `soft` has the limits of all families. `slacks` has one number per family,
-    the amount relative to the reference magnitude of the family's limits. Each positive slack is
-    converted to the unit of its limits; families with a negligible slack are left out.
+    A family consists of all limits that one component of the Pyomo model declares. The family with
+    the largest relative relaxation comes first. Families with a negligible relaxation are left out.
+
+    Parameters
+    ----------
+    solution : Solution
+        Result of the failed solve, from which units are read.
+    soft : SoftRows
+        Limits of all families.
+    slacks : ndarray, shape (n_families,)
+        Relaxation of each family, relative to the reference magnitude of its limits.
     """
     found = []
     for k in np.argsort(-slacks):

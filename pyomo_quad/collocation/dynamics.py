@@ -47,16 +47,16 @@ class Instants:
     Attributes
     ----------
     inputs : list of ndarray, each with n rows
-        Rates (derivatives of the states with respect to the fraction of the horizon), states,
-        algebraic variables, static variables (without time), and data (fraction of the horizon and
-        parameters).
+        Five arrays: rates (derivatives of the states with respect to the fraction of the horizon);
+        states; algebraic variables; static variables (variables without time); and data (fraction
+        of the horizon and parameters).
     read : callable
-        Function that evaluates components of the model, such as variables and expressions:
-        ``(keys, *inputs)`` -> values, shape (n, n_keys). The argument `keys` is a tuple of pairs,
-        the full name of a component and its index without the time.
+        Function that evaluates components of the model, such as variables and expressions: ``(keys,
+        *inputs)`` -> values, shape (n, n_keys). A key is a pair: the full name of a component, and
+        its index without the time.
     numbers : callable
-        Function that changes parameters: (data, new values of parameters by full name) -> copy of
-        the data with the new values. Here data is the last array of `inputs`.
+        Function that changes parameters: (data, new values of parameters by full name) -> changed
+        copy of the data. The data are the last array of `inputs`.
     """
 
     inputs: list[FloatArray]
@@ -90,14 +90,13 @@ class Instants:
 class Dynamics:
     """Explicit right-hand side dx/dt = f(t, x, u) of a compiled problem, for given parameters.
 
-    The algebraic variables that equations determine are computed from these equations. The
+    Some algebraic variables are determined by equations, and are computed from these equations. The
     remaining algebraic variables are the controls u.
 
     Attributes
     ----------
     state_names : tuple of str
-        States of the nonlinear program, followed by the output states (states that nothing depends
-        on).
+        States of the nonlinear program, then output states (states on which nothing depends).
     control_names : tuple of str
         Algebraic variables that no equation determines: the inputs of a simulation.
     """
@@ -126,13 +125,13 @@ class Dynamics:
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the CasADi function of the right-hand side.
 
-        `states` are all states of the model, output states (states that nothing depends on)
-        included. The function's inputs are states, controls, static variables and data (fraction of
-        the horizon and parameters). Its first output holds the rates (derivatives of the states)
-        and the algebraic variables that equations determine. Its second output holds the
-        objective's integrand and the span, the derivative of time with respect to the fraction of
-        the horizon. Rates and integrand are per unit of the fraction; dividing by the span makes
-        them per unit of time.
+        The function has four inputs: states; controls; static variables (variables without time);
+        and data (fraction of the horizon and parameters). It has two outputs. One is the column of
+        the rates of all states and of the algebraic variables that equations determine. The other
+        is the column of the objective's integrand and of the derivative of time with respect to the
+        fraction of the horizon. Rates and integrand are per unit of the fraction of the horizon.
+
+        `states` are all states of the model, including states on which nothing depends.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -157,15 +156,13 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side as a CasADi function that runs CasADi's Newton method.
+        """Return the right-hand side of implicit equations, solved by CasADi's Newton method.
 
-        It is used for implicit equations, those in which rates (derivatives of the states) or
-        algebraic variables enter nonlinearly. `core` holds the equations, split into a nonlinear
-        part, which Newton's method solves, and a linear part. `inputs` are the symbols of the
-        function's inputs: columns of states, controls, static variables and data (fraction of the
-        horizon and parameters). The function has two outputs: the rates followed by the algebraic
-        variables that equations determine, and the objective's integrand followed by the derivative
-        of time with respect to the fraction of the horizon.
+        In implicit equations, rates (derivatives of the states) or algebraic variables enter
+        nonlinearly. The returned function has the inputs and outputs that `_compile` describes.
+
+        `core` holds the equations: a nonlinear part, which Newton's method solves, and a linear
+        part. `inputs` are the symbols of the function's four inputs.
         """
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
@@ -174,12 +171,13 @@ class Dynamics:
         return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
-        """Return the same right-hand side with implicit equations solved by 20 Newton steps.
+        """Return a right-hand side that solves implicit equations by 20 Newton steps.
 
-        The Newton steps are written out, so that the returned right-hand side consists of CasADi's
-        fast scalar expressions (SX). CasADi's own Newton iteration, which the steps replace, costs
-        ten times as much as the evaluation of all other equations. A right-hand side without
-        implicit equations is returned unchanged.
+        In implicit equations, rates (derivatives of the states) or algebraic variables enter
+        nonlinearly. Without implicit equations, this object itself is returned.
+
+        The 20 Newton steps are written out in CasADi's fast scalar expressions (SX). CasADi's own
+        Newton iteration would cost ten times as much as the evaluation of all other equations.
         """
         if self._right_hand_side.is_a("SXFunction"):
             return self
@@ -196,8 +194,8 @@ class Dynamics:
         Returns
         -------
         ndarray, ndarray
-            Shape (n_controls,) each; infinite where a control has no limit, or a limit that varies
-            with time.
+            Lower and upper limits, shape (n_controls,) each. A limit that does not exist or that
+            varies with time is infinite here.
         """
         names = [s.name for s in self._formulation.compiled.declared.algebraics]
         chosen = [names.index(name) for name in self.control_names]
@@ -207,9 +205,9 @@ class Dynamics:
     def just_after(self, t: float) -> float:
         """Return a time just after t, to evaluate parameters after a jump at t.
 
-        At a time t at which a parameter jumps, the equations take the value before the jump; at the
-        returned time they take the value after it. If no parameter jumps at any time, t itself is
-        returned.
+        At the time of a jump, the equations take the parameter's value before the jump. At the
+        returned time, the equations take the value after the jump. If no parameter ever jumps, t
+        itself is returned.
 
         Parameters
         ----------
@@ -223,12 +221,12 @@ class Dynamics:
         return t + 2.0 * BESIDE * float(self.timeline.spans.max()) if self._instance.jumps else t
 
     def steps_between(self, start: float, end: float) -> list[float]:
-        """Return the times at which parameters given as `Steps` (piecewise constant) jump.
+        """Return the jump times of parameters that are given as `Steps` (piecewise constant).
 
         Parameters
         ----------
         start, end : float
-            Physical times between which the jumps lie.
+            Physical times; the jumps between them are returned.
 
         Returns
         -------
@@ -254,9 +252,9 @@ class Dynamics:
         Returns
         -------
         list of float
-            The fraction of the horizon; the time-dependent parameters; and, for each rule of the
-            model that is different in different parts of the horizon, a number that selects its
-            form at this time.
+            The fraction of the horizon, then the time-dependent parameters, then a number for each
+            rule of the model that changes its form over the horizon. This number selects the form
+            at the time t.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -265,8 +263,8 @@ class Dynamics:
         """Return a column of CasADi symbols, from which the right-hand side can be written.
 
         The symbols are arguments for the method `written`, which returns dx/dt as an expression.
-        Their type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, which
-        solves implicit equations of the model, and `casadi.SX` otherwise.
+        Their type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, otherwise
+        `casadi.SX`.
 
         Parameters
         ----------
@@ -279,7 +277,7 @@ class Dynamics:
         return (casadi.SX if is_explicit else casadi.MX).sym(name, size)
 
     def parameter_column(self, changed: Mapping[str, Any]) -> Any:
-        """Return the constant parameters as a CasADi column, some of them replaced.
+        """Return the constant parameters as a CasADi column, some replaced by symbols.
 
         Parameters
         ----------
@@ -290,14 +288,13 @@ class Dynamics:
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return the column of time-dependent inputs of the equations, some parameters replaced.
+        """Return the time-dependent inputs of the equations, some parameters replaced by symbols.
 
         Parameters
         ----------
         moment : casadi.SX or casadi.MX
-            Column of the inputs that the method `moment` returns, in the same order: the fraction
-            of the horizon, the time-dependent parameters, and the numbers that select the form of a
-            rule.
+            Column of symbols for the inputs that the method `moment` returns, in the order of that
+            method.
         changed : mapping
             Full name of a time-dependent parameter -> symbol that replaces it.
         """
@@ -312,11 +309,11 @@ class Dynamics:
         Parameters
         ----------
         moment, x, u : casadi.SX or casadi.MX
-            Columns of symbols: the time-dependent inputs of the equations, in the order in which
-            the method `moment` returns them; the states; and the controls.
-        parameters : optional
-            Column of all constant parameters, some of which may be symbols; the method
-            `parameter_column` returns such a column. By default the parameters have their values.
+            Columns of symbols: `moment` are the time-dependent inputs of the equations, in the
+            order of the method `moment`; `x` are the states; and `u` are the controls.
+        parameters : column, optional
+            Column of all constant parameters, as numbers or symbols, from the method
+            `parameter_column`. By default, the values of the parameters are used.
 
         Returns
         -------
@@ -341,8 +338,8 @@ class Dynamics:
         t : float
             Physical time at which time-dependent parameters are evaluated.
         values : mapping
-            States and algebraic variables by full name, as symbols or numbers; all other states and
-            algebraic variables, and all rates (derivatives of the states), are zero.
+            States and algebraic variables by full name, as symbols or numbers. States and algebraic
+            variables without an entry, and all rates (derivatives of the states), are zero.
 
         Returns
         -------
@@ -369,9 +366,8 @@ class Dynamics:
     def _row(self, t: float) -> FloatArray:
         """Return the data input of the compiled right-hand side at the physical time `t`.
 
-        The data are the time-dependent inputs of the equations (fraction of the horizon,
-        time-dependent parameters), followed by the constant parameters; shape (n_data,). The next
-        call overwrites the returned array.
+        The data have shape (n_data,): the time-dependent inputs of the equations, which the method
+        `moment` returns, then the constant parameters. The next call overwrites the returned array.
         """
         moment = self.moment(t)
         self._data[: len(moment)] = moment
@@ -387,7 +383,7 @@ class Dynamics:
             the algebraic variables that equations determine.
         ndarray
             One row: the objective's integrand per unit of the fraction of the horizon, then the
-            derivative of physical time with respect to this fraction.
+            derivative of physical time with respect to the fraction of the horizon.
         """
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
@@ -455,7 +451,7 @@ class Dynamics:
         controls: FloatArray,
         numbers: Mapping[str, ArrayLike] | None = None,
     ) -> Instants:
-        """Return states and controls at n times with the resulting rates and algebraic variables.
+        """Compute rates and algebraic variables for states and controls at n times.
 
         Rates are the derivatives of the states with respect to the fraction of the horizon.
 
@@ -464,12 +460,14 @@ class Dynamics:
         t : ndarray, shape (n,)
             Physical times.
         states, controls : ndarray, shape (n, n_states) and (n, n_controls)
+            States and controls at these times.
         numbers : mapping, optional
             Values of parameters by full name, each a number or an array of shape (n,).
 
         Returns
         -------
         Instants
+            The given states and controls, and the computed variables.
         """
         n = len(t)
         # Several flights may share their times; evaluate time-dependent parameters once per time.
@@ -488,9 +486,9 @@ class Dynamics:
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
         """Return a copy of the equations' data at n times, with new values of some parameters.
 
-        `data` has one row per time; its columns are the fraction of the horizon, the time-dependent
-        parameters and the constant parameters. `numbers` maps the full name of a constant parameter
-        to its new value, a number or an array of shape (n,).
+        `data` has one row per time. Its columns are the fraction of the horizon, the time-dependent
+        parameters and the constant parameters. `numbers` maps full names of constant parameters to
+        new values. A new value is a number or an array of shape (n,).
         """
         names = self.parameter_names
         changed = data.copy()
@@ -502,8 +500,8 @@ class Dynamics:
         """Merge controls and computed variables into one array of all algebraic variables.
 
         `determined` are the algebraic variables that equations determine, and `controls` the
-        remaining algebraic variables; both have one row per time. The result has one row per time,
-        and one column per algebraic variable in the order of their declaration.
+        remaining algebraic variables. Both arrays, and the result, have one row per time. The
+        result has one column per algebraic variable, in the order of their declaration.
         """
         names = [s.name for s in self._determined]
         columns = [
@@ -571,7 +569,7 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """Names of the states with a given initial value and a free final value.
 
-        An example is the charge of a battery, which a flight uses up.
+        The charge of a battery is an example.
         """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.
@@ -598,8 +596,8 @@ class Dynamics:
     def initial_states(self) -> dict[str, float]:
         """Return the value of each state at the start of the horizon, as set in the Pyomo model.
 
-        The result maps the full name of each state to this value. The value is 0 if the variable
-        has no value at the first time of the model's continuous set.
+        The result maps the full name of each state to its initial value. A state without a value at
+        the first time of the model's continuous set has the initial value 0.
         """
         declared = self._formulation.compiled.declared
         held = {
@@ -631,10 +629,10 @@ class Dynamics:
     def violations(
         self, t: FloatArray, states: FloatArray, controls: FloatArray
     ) -> tuple[Violation, ...]:
-        """Return the worst violation of every limit over time along a trajectory, the worst first.
+        """Return the worst violation of each limit along a trajectory.
 
-        Limits are path inequalities and bounds. The violation of a satisfied limit is 0. The limits
-        are ordered by their violations relative to max(1, abs(bound)).
+        Limits are path inequalities, and bounds over time. The violation of a satisfied limit is 0.
+        The limit with the largest violation relative to max(1, abs(bound)) comes first.
 
         Parameters
         ----------
@@ -646,13 +644,13 @@ class Dynamics:
         return found
 
     def violations_of(self, instants: Instants, t: FloatArray) -> list[tuple[Violation, ...]]:
-        """Return the worst violation of every limit, for several flights sampled at the same times.
+        """Return the worst violation of each limit, for several flights sampled at the same times.
 
         Parameters
         ----------
         instants : Instants
-            States, controls, rates and algebraic variables of the flights, one flight after
-            another, n times each; the method `solved` returns such an object.
+            States, controls, rates and algebraic variables of the flights, from the method
+            `solved`. The n times of a flight are followed by the n times of the next flight.
         t : ndarray, shape (n,)
             Physical times.
 
@@ -683,8 +681,7 @@ class Dynamics:
         Parameters
         ----------
         instants : Instants
-            States, controls, rates and algebraic variables of the flight; the method `solved`
-            returns such an object.
+            States, controls, rates and algebraic variables of the flight, from the method `solved`.
 
         Returns
         -------
@@ -715,9 +712,9 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    Each equality without time derivatives determines one algebraic variable, if possible. A maximum
-    matching assigns variables to equations. If several variables are possible for an equation, the
-    variable that is declared later is assigned. The remaining algebraic variables are the controls.
+    An equality without time derivatives can determine one algebraic variable that occurs in it. A
+    maximum matching assigns variables to equalities. If an equality has several candidates, the
+    variable that is declared later is preferred. Variables that are not assigned are the controls.
 
     Parameters
     ----------
@@ -771,8 +768,8 @@ def control_limits(
     Returns
     -------
     ndarray, ndarray
-        Lower and upper limits, shape (n_algebraics,) each; infinite for variables that equations
-        determine, and where a control has no limit or a limit that varies with time.
+        Lower and upper limits, shape (n_algebraics,) each, infinite for variables that equations
+        determine. A limit that does not exist or that varies with time is infinite, too.
     """
     controls = {slot.name for slot in split_algebraics(formulation)[0]}
     is_control = np.array([s.name in controls for s in formulation.compiled.declared.algebraics])
@@ -785,8 +782,8 @@ def control_limits(
 def _objective_density(formulation: Formulation) -> Any:
     """Return the integrand of the objective of a compiled problem, as a CasADi expression.
 
-    The integrand has the sign of the objective in the Pyomo model, also if that objective is
-    maximised. It is per unit of the fraction of the horizon.
+    The integrand is per unit of the fraction of the horizon. Its sign is not changed if the
+    objective is maximised.
     """
     declared = formulation.compiled.declared
     density = casadi.SX(0)
@@ -800,8 +797,8 @@ def _objective_density(formulation: Formulation) -> Any:
 def _solve_linear(matrix: Any, right: Any) -> Any:
     """Solve a linear system of CasADi expressions symbolically.
 
-    `matrix` and `right` are the matrix and the right-hand side. If each row and each column of the
-    matrix has a single nonzero, only divisions are needed.
+    `matrix` and `right` are the matrix and the right-hand side. A matrix with a single nonzero in
+    each row and column needs only divisions.
     """
     rows, columns = matrix.sparsity().get_triplet()
     n = matrix.shape[0]
@@ -816,8 +813,8 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 def _solved_for(rows: Any, unknowns: Any) -> Any:
     """Solve equations symbolically for unknowns that enter them linearly.
 
-    `rows` is the CasADi column of the equations' residuals, and `unknowns` the column of the
-    unknowns' symbols. The result is the column of expressions that the unknowns equal.
+    `rows` is the CasADi column of the equations' residuals. `unknowns` is the column of symbols to
+    solve for. The result is the column of their solutions.
     """
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
@@ -828,9 +825,8 @@ class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
     The unknowns are the rates (derivatives of the states with respect to the fraction of the
-    horizon) and the algebraic variables that equations determine. The inputs are the states, the
-    controls, the static variables (variables without time) and the data (fraction of the horizon
-    and parameters).
+    horizon) and the algebraic variables that equations determine. The inputs are states, controls,
+    static variables (variables without time) and data (fraction of the horizon and parameters).
 
     Attributes
     ----------
@@ -840,9 +836,9 @@ class _Core:
         (unknowns of the nonlinear part, all inputs as one column) -> residual of the nonlinear
         part.
     known : casadi.Function
-        (unknowns of the nonlinear part, all inputs as one column) -> all unknowns, and a column of
-        two: the objective's integrand, and the derivative of time with respect to the fraction of
-        the horizon.
+        (unknowns of the nonlinear part, all inputs as one column) -> (all unknowns, column of two).
+        The column of two has the objective's integrand, and the derivative of time with respect to
+        the fraction of the horizon.
     """
 
     inner: Any
@@ -853,10 +849,9 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Rates are the derivatives of the states with respect to the fraction of the horizon. In the
-        returned object, the nonlinear part of the equations is left for Newton's method, which
-        solves only for the unknowns that enter nonlinearly. The remaining equations are linear in
-        the remaining unknowns, and are solved here symbolically.
+        Rates are the derivatives of the states with respect to the fraction of the horizon. The
+        nonlinear part of the equations is left for Newton's method. The rest is linear in the
+        unknowns that the nonlinear part does not contain, and is solved here symbolically.
 
         Parameters
         ----------
@@ -891,20 +886,18 @@ class _Core:
 class _WithoutIterations(Dynamics):
     """Right-hand side that solves implicit equations by a fixed number of Newton steps.
 
-    Implicit equations are those in which rates (derivatives of the states) or algebraic variables
-    enter nonlinearly. The 20 Newton steps are written out as CasADi expressions, whose evaluation
-    is faster than CasADi's own Newton iteration.
+    In implicit equations, rates (derivatives of the states) or algebraic variables enter
+    nonlinearly. The 20 Newton steps are written out as CasADi expressions. Their evaluation is
+    faster than CasADi's own Newton iteration.
     """
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side as a CasADi function with 20 Newton steps written out.
 
-        `core` holds the implicit equations, split into a nonlinear part, which the Newton steps
-        solve, and a linear part. `inputs` are the symbols of the returned function's inputs:
-        columns of states, controls, static variables and data (fraction of the horizon and
-        parameters). The returned function has two outputs: the rates (derivatives of the states)
-        followed by the algebraic variables that equations determine, and the objective's integrand
-        followed by the derivative of time with respect to the fraction of the horizon.
+        The returned function has the inputs and outputs that `Dynamics._compile` describes.
+
+        `core` holds the implicit equations: a nonlinear part, which the Newton steps solve, and a
+        linear part. `inputs` are the symbols of the function's four inputs.
         """
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
@@ -922,12 +915,13 @@ class _WithoutIterations(Dynamics):
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
     """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
 
-    The equations are to be solved for the rates (derivatives of the states) and for the algebraic
+    The unknowns of the equations are the rates (derivatives of the states) and the algebraic
     variables that equations determine.
 
-    The nonlinear part consists of the unknowns that enter nonlinearly, and of the equations that
-    contain no other unknowns. If its numbers of equations and of unknowns differ, Newton's method
-    must solve all equations, and the rest is empty.
+    The unknowns of the nonlinear part are those that enter nonlinearly. Its equations are those
+    that contain no other unknowns. Newton's method needs as many equations as unknowns. If their
+    numbers differ, the nonlinear part consists of all equations and all unknowns, and the rest is
+    empty.
 
     Parameters
     ----------
@@ -939,7 +933,8 @@ def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int
     Returns
     -------
     ((list of int, list of int), (list of int, list of int))
-        Positions of the equations and of the unknowns of the nonlinear part, then of the rest.
+        Two pairs, for the nonlinear part and for the rest: positions of the equations in `rows`,
+        and positions of the unknowns in `unknowns`.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)
@@ -977,7 +972,7 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """Symbolic number with which a control law is called once, to compile the law.
+    """Symbolic number: a control law is called with symbols once, to compile the law.
 
     NumPy functions that the law applies to the symbol become CasADi expressions.
     """
@@ -989,8 +984,8 @@ class Symbol(NDArrayOperatorsMixin):
         """Apply a NumPy function to symbols, as a CasADi expression.
 
         NumPy calls this method when a control law applies the function `function` to a symbol.
-        `method` is "__call__" for a plain call, the only accepted kind; `numbers` are the arguments
-        of the function, symbols or ordinary numbers.
+        `numbers` are the arguments of the function: symbols or ordinary numbers. `method` is
+        "__call__" for a plain call; other calls are not accepted.
 
         Raises
         ------
@@ -1026,9 +1021,9 @@ def _expression(number: Any) -> Any:
 class Law(Protocol):
     """Type of a feedback control law: a function of numbers that can be compiled to CasADi.
 
-    The law may use only arithmetic and NumPy's elementwise functions `sqrt`, `exp`, `log`, `fmin`
-    and `fmax`, and the trigonometric (also inverse) and hyperbolic functions. It must not branch
-    (`if`) on its arguments.
+    The law may use arithmetic and NumPy's elementwise functions `sqrt`, `exp`, `log`, `fmin` and
+    `fmax`. It may also use trigonometric (also inverse) and hyperbolic functions. It must not
+    branch (`if`) on its arguments.
     """
 
     def __call__(
@@ -1055,12 +1050,13 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     dynamics : Dynamics
         Right-hand side of the vehicle.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own), where x are the
-        vehicle's states, and own are the law's own states; see `Law`.
+        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. Here x are
+        the vehicle's states, and own are the law's own states.
     sizes : (int, int, int)
-        Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states
-        and of components of the command that the law follows. The joint state consists of the
-        vehicle's states, the law's own states, and the integral of the objective's integrand.
+        Dimensions of the closed loop, which `joint_sizes` returns: numbers of time-dependent inputs
+        of the equations, of joint states, and of components of the command. The joint state
+        consists of the vehicle's states, the law's own states, and the integral of the objective's
+        integrand.
 
     Returns
     -------
@@ -1092,11 +1088,23 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
 def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, int, int]:
     """Return the three dimensions of a closed loop of vehicle and control law.
 
-    They are the numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint
-    states, and of components of the command that the control law follows, which is `n_command`.
+    The joint state consists of the vehicle's states, the law's own states, and the integral of the
+    objective's integrand.
 
-    The joint state consists of the states of the vehicle `dynamics`, the `n_own` states of the law,
-    and the integral of the objective's integrand.
+    Parameters
+    ----------
+    dynamics : Dynamics
+        Right-hand side of the vehicle.
+    n_command : int
+        Number of components of the command that the law follows.
+    n_own : int
+        Number of the law's own states.
+
+    Returns
+    -------
+    int, int, int
+        Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states,
+        and of components of the command.
     """
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
@@ -1115,19 +1123,19 @@ def closed(
     dynamics : Dynamics
         Right-hand side of the vehicle.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own), where x are the
-        vehicle's states, and own are the law's own states; see `Law`.
+        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. Here x are
+        the vehicle's states, and own are the law's own states.
     sizes : (int, int, int)
-        Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states
-        and of components of the command that the law follows.
+        Dimensions of the closed loop, which `joint_sizes` returns: numbers of time-dependent inputs
+        of the equations, of joint states, and of components of the command.
     numbers : mapping
-        Symbols that replace parameters, by full name.
+        Full name of a parameter -> symbol that replaces it.
 
     Returns
     -------
     list of symbols
-        Columns of the time-dependent inputs of the equations (see `Dynamics.moment`), of the joint
-        state, and of the command that the law follows.
+        Three columns: the time-dependent inputs of the equations (see `Dynamics.moment`); the joint
+        state; and the command that the law follows.
     expression
         Time derivative of the joint state.
     expression
@@ -1167,8 +1175,8 @@ class ClosedLoop:
     Raises
     ------
     TranscriptionError
-        If the law branches on a state, calls a function that cannot be compiled, or returns a wrong
-        number of controls or of time derivatives of its own states.
+        If the law branches on a state; if it calls a function that cannot be compiled; or if it
+        returns a wrong number of controls or of time derivatives of its own states.
     """
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:
@@ -1190,13 +1198,13 @@ class ClosedLoop:
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the CasADi function of the closed loop.
 
-        The CasADi function has three inputs: the time-dependent inputs of the equations, the joint
-        state, and the command that the law follows. It has two outputs: the time derivative of the
-        joint state, and the controls. The joint state consists of the vehicle's states, the law's
-        own states, and the integral of the objective's integrand.
+        The function has three inputs: the time-dependent inputs of the equations, the joint state,
+        and the command that the law follows. It has two outputs: the time derivative of the joint
+        state, and the controls. The joint state consists of the vehicle's states, the law's own
+        states, and the integral of the objective's integrand.
 
-        `law` is the control law. `sizes` are the dimensions of the three inputs, which the function
-        `joint_sizes` returns.
+        `law` is the control law. `sizes` are the sizes of the three inputs, which `joint_sizes`
+        returns.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
@@ -1230,11 +1238,9 @@ class ClosedLoop:
         """Return the Jacobians of the closed loop's right-hand side at n times.
 
         The right-hand side is the time derivative of the joint state, which the method `rates`
-        returns. The joint state consists of the states of vehicle and law, and the integral of the
-        objective's integrand. One Jacobian is taken with respect to the time-dependent inputs of
-        the equations, the other with respect to the joint state. Where the control law has a kink,
-        for example where the minimum of two numbers (NumPy's `fmin`) switches from one number to
-        the other, the partial derivatives are one-sided.
+        returns. Its Jacobians are taken with respect to the time-dependent inputs of the equations,
+        and with respect to the joint state. A control law may have kinks, such as a switch of
+        NumPy's `fmin` between its arguments. At a kink, the derivatives are one-sided.
 
         Parameters
         ----------

@@ -92,8 +92,8 @@ _OPERATIONS: dict[int, Callable[..., Interval]] = {
 def symbols(*names: str) -> list[Any]:
     """Return scalar CasADi symbols with the given names, to write expressions with.
 
-    `Dynamics.expressions` writes components of a model in terms of such symbols, and `Enclosure`
-    bounds such expressions over intervals of the symbols.
+    `Dynamics.expressions` takes such symbols to write components of a model. `Enclosure` bounds the
+    resulting expressions over intervals of the symbols.
 
     Parameters
     ----------
@@ -125,8 +125,7 @@ class Enclosure:
     Parameters
     ----------
     expressions : sequence of casadi.SX
-        CasADi expressions, for example of components of a model, which `Dynamics.expressions`
-        returns.
+        CasADi expressions, for example those that `Dynamics.expressions` returns.
     variables : sequence of casadi.SX
         Symbols in the expressions that range over intervals.
     numbers : sequence of casadi.SX
@@ -155,26 +154,26 @@ class Enclosure:
         Parameters
         ----------
         low, high : ndarray, shape (n_variables, n)
-            Lower and upper ends of the variables' intervals, one column for each box. If both ends
-            are equal, the box is a single point.
+            Lower and upper ends of the variables' intervals, one column for each box. A box with
+            equal ends is a point.
         numbers : array_like, shape (n_numbers,)
             Values of the symbols with single values.
 
         Returns
         -------
         (ndarray, ndarray), (ndarray, ndarray)
-            Lower and upper bounds of the expressions, shape (n_expressions, n), and of the
-            gradient, shape (n_variables, n).
+            Lower and upper bounds of the expressions, shape (n_expressions, n) each. Then lower and
+            upper bounds of the gradient, shape (n_variables, n) each.
         """
         return self._all.over(low, high, numbers)
 
     def values_over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> Interval:
         """Return lower and upper bounds of the expressions over n boxes, without the gradient.
 
-        This costs less than `over`, which bounds the gradient, too. `low` and `high` are the lower
-        and upper corners of the boxes, shape (n_variables, n). `numbers` are the values of the
-        symbols with single values, shape (n_numbers,). Each of the two results has shape
-        (n_expressions, n).
+        The method costs less than `over`. `low` and `high` are the lower and upper ends of the
+        variables' intervals, shape (n_variables, n). `numbers` are the values of the symbols with
+        single values, shape (n_numbers,). Lower and upper bounds have shape (n_expressions, n)
+        each.
         """
         return self._values.over(low, high, numbers)[0]
 
