@@ -335,10 +335,12 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    `rows` are the cases of one curve, in the order of increasing wind direction; `field` is the
-    column of the direction [rad]. In the repeated row the direction is larger by a full turn. The
-    rows are returned unchanged, and the curve stays open, if the gap between the last and the first
-    direction exceeds 1.5 times the greatest step between directions.
+    `rows` are the cases of one curve, sorted by wind direction. `field` is the column of the
+    direction [rad]. The repeated row has the first direction plus a full turn.
+
+    A wide gap between the last and the first direction stays open, and the rows are returned
+    unchanged. A gap is wide if it exceeds 1.5 times the greatest step between neighbouring
+    directions.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
@@ -358,15 +360,18 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases. The row numbers of the cases with the least and the
-    greatest value are printed beside the first bar. Each other bar is the range along one field,
-    with all other fields as in the central case. The values of the field at which the quantity is
-    least and greatest are printed beside this bar. In the central case, each field that varies has
-    the base scenario's value or, if the sweep does not contain this value, the middle of the
-    field's values. Fields with random values have no value in the central case. Therefore, if a
-    sweep has random fields, the bar of a field that is not random is the range of the quantity's
-    mean over the random draws. The bar of a random field is the range of a linear function that is
-    fitted to the quantity, between the 5 % and 95 % quantiles of the field's draws.
+    The first bar is the range over all cases. Beside the first bar stand the row numbers of the
+    cases with the least and the greatest value.
+
+    Each other bar is the range along one field, with all other fields as in the central case.
+    Beside the bar stand the field's values at which the quantity is least and greatest. The central
+    case has the field values of the base scenario. If the sweep lacks a field's base value, the
+    central case has the middle of the field's values.
+
+    If the sweep has random fields, the bar of a field that is not random shows the quantity's mean
+    over the random draws. For the bar of a random field, a linear function is fitted to the
+    quantity. The bar is the function's range between the 5 % and 95 % quantiles of the field's
+    draws.
 
     Parameters
     ----------
@@ -418,10 +423,9 @@ def _draw_bar(
 ) -> None:
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
-    The bar is the range of an output quantity, either over all cases of the sweep or as one
-    scenario field varies. The base value is the quantity in the central case. In the central case,
-    each field that varies has the base scenario's value or, if the sweep does not contain this
-    value, the middle of the field's values.
+    The bar is the range of an output quantity. The base value is the quantity in the central case.
+    The central case has the field values of the base scenario. If the sweep lacks a field's base
+    value, the central case has the middle of the field's values.
 
     Parameters
     ----------
@@ -432,12 +436,12 @@ def _draw_bar(
     ends : tuple of float
         Least and greatest value of the quantity, in the unit of its column.
     reached : tuple of str
-        Texts to print at the two ends of the bar: the values of the scenario field at which the
-        quantity is least and greatest, or the cases with these values of the quantity.
+        Texts to print at the lower and at the upper end of the bar. Each text is a value of the
+        scenario field or a case, such as "case 3".
     base : float
         Base value, in the printed unit; NaN if the central case failed.
     quantity : Quantity
-        Output column that is drawn; gives the factor to the printed unit.
+        Output column to draw.
     """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)

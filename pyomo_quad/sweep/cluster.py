@@ -22,8 +22,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     """Context manager: connect to a Dask cluster, and run the cases of a sweep on its workers.
 
     If the cluster loses a worker, Dask moves the cases of this worker to the other workers. Dask
-    gives a case up if several workers were lost while they solved this case. If the scheduler is
-    lost, the results that were stored before the loss remain.
+    gives up a case after several workers were lost during the case. If the scheduler is lost, the
+    results that were stored before the loss remain.
 
     Parameters
     ----------
@@ -33,12 +33,13 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     Yields
     ------
     Workers
-        Workers of the cluster, the argument of the method `Sweep.run`, which runs the sweep.
+        Workers of the cluster, for the method `Sweep.run`.
 
     Raises
     ------
     ClusterError
-        If the scheduler cannot be reached, or a worker has no pyomo_quad of the same version.
+        If the scheduler cannot be reached, or pyomo_quad is missing or has another version on a
+        worker.
 
     Examples
     --------
@@ -67,8 +68,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 def _silence_dask() -> None:
     """Turn off the log messages of Dask, because this module reports a lost cluster itself.
 
-    Without this, Dask would print tracebacks when a cluster is lost. The function is called after
-    the import of Dask, because the import sets the levels of the loggers.
+    Otherwise Dask prints tracebacks when a cluster is lost. Call this function after the import of
+    Dask, because the import sets the levels of the loggers.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in _DASK_LOGGERS:
@@ -76,11 +77,11 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Counter of a Dask cluster's worker threads, each of which can solve one case at a time.
+    """Counter of the worker threads of a Dask cluster.
 
-    `client` is the connection to the cluster, and `address` its address for error messages. The
-    cluster is asked for the number of threads at most once in two seconds (the constant
-    `WATCH_SECONDS`). In between, the number that was found last is returned.
+    Each thread can solve one case at a time. `client` is the connection to the cluster. `address`
+    is the cluster's address, for error messages. The counter asks the cluster at most once in two
+    seconds (the constant `WATCH_SECONDS`). In between, the counter returns the last number.
     """
 
     def __init__(self, client: "Client", address: str) -> None:

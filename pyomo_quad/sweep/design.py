@@ -1,7 +1,8 @@
 """Design of a parameter sweep: the values of each axis, and the cases in row order.
 
 An axis is a scenario field with the values that it takes. Axes that advance together form a
-dimension. The cases are all combinations of the steps of the dimensions, a grid.
+dimension. A step of a dimension gives each of its fields one value. The cases are all combinations
+of steps, and form a grid.
 """
 
 import hashlib
@@ -164,7 +165,7 @@ class Axis(Part):
     def spaced_values(self) -> tuple[Any, ...]:
         """Return the listed, equally spaced or logarithmically spaced values of the axis.
 
-        Empty for a random axis, whose values `drawn_values` returns.
+        The result is empty for a random axis. For a random axis, use `drawn_values`.
         """
         if self.linear is not None:
             spacing = self.linear
@@ -227,7 +228,7 @@ class Dimension:
     paths : tuple of str
         Dotted paths of the scenario fields that change.
     steps : tuple of tuple
-        For each step along the dimension, the value of each of these fields.
+        Values of the fields at each step along the dimension: one inner tuple for each step.
     is_random : bool
         Whether the values were drawn at random.
     """
@@ -243,10 +244,10 @@ class Dimension:
 
     @property
     def is_sound(self) -> bool:
-        """Whether each step has one plain value for each field, and each field keeps one type.
+        """Whether each step has one plain value for each field, and each field has one type.
 
-        Plain values are finite numbers, texts, booleans and lists of these. A dimension that a
-        study file describes is always sound; a dimension from a damaged result store may not be.
+        Plain values are finite numbers, texts, booleans and lists of these. A dimension from a
+        study file is always sound. A dimension from a damaged result store may be unsound.
         """
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
@@ -280,17 +281,17 @@ class SweepDesign:
     name, title, about : str
         Short name, title and first paragraph of the report, as in the study file.
     task : StudyTask
-        `OPTIMISE`, if each case's minimum-energy flight is planned; `FLY_PLAN`, if only the flight
-        of the base scenario is planned, and the controller tracks this plan in each case.
+        `OPTIMISE`: the minimum-energy flight of each case is planned. `FLY_PLAN`: only the flight
+        of the base scenario is planned, and the controller flies this plan in each case.
     baselines : tuple of Reference
         Reference trajectories that the controller flies in each case, for comparison.
     outputs, report_on : tuple of str
-        Output columns that the tables keep, and columns that the report draws.
+        Output columns that the result tables keep, and output columns that the report draws.
     base : mapping
         The complete base scenario, as nested mappings.
     dimensions : tuple of Dimension
-        Scenario fields that vary, with their values; the last dimension varies fastest in the
-        order of the cases.
+        Scenario fields that vary, with their values. In the order of the cases, the last dimension
+        varies fastest.
     """
 
     name: str
@@ -338,13 +339,15 @@ class SweepDesign:
             raise ValueError(f"not a sweep design: {place}: {first['msg']}") from None
 
     def refuse_impossible(self) -> None:
-        """Raise an error if the design cannot stem from a study file, as in a damaged result store.
+        """Raise an error if the design cannot stem from a study file.
+
+        Such a design is a sign of a damaged result store.
 
         Raises
         ------
         ValueError
-            If a dimension has missing or wrong values, the cases are too many, a field varies twice
-            or an output column is unknown. The message is one line that names the fault.
+            If a dimension has missing or wrong values, there are too many cases, a field varies
+            twice, or an output column is unknown. The message is one line that names the fault.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):
@@ -358,10 +361,9 @@ class SweepDesign:
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
         """Yield the changes of task, baselines and base scenario since an older design.
 
-        The task says whether each case's flight is planned, or the controller flies the base
-        scenario's plan in each case. The baselines are reference trajectories that the controller
-        flies in each case, for comparison. If one of the three differs, results of the older design
-        are not valid for this design.
+        The task is to plan each case's flight, or to fly the base scenario's plan in each case. The
+        baselines are reference trajectories that the controller flies in each case, for comparison.
+        After such a change, results of the older design are not valid for this design.
 
         Parameters
         ----------
@@ -380,9 +382,10 @@ class SweepDesign:
         yield from _differences(older.base, self.base, "scenario")
 
     def axis_changes_since(self, older: "SweepDesign") -> Iterator[str]:
-        """Yield the changes of axes (fields that vary, with their values) since an older design.
+        """Yield the changes of the axes since an older design.
 
-        Results of the older design remain valid for the cases that both designs have.
+        An axis is a scenario field that varies, with its values. Results of the older design remain
+        valid for the cases that both designs have.
 
         Parameters
         ----------
@@ -441,7 +444,7 @@ _KEY_LENGTH = 20  # hexadecimal digits of a case's key
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One case of a sweep: a place in the grid, with its values of the scenario fields.
+    """One case of a sweep, with its values of the scenario fields that vary.
 
     Attributes
     ----------
@@ -453,8 +456,8 @@ class Case:
         Value of each field that varies, by its dotted path.
     parent : int or None
         Position of the neighbouring case whose solution is the initial guess of this case. None for
-        the case that is solved first. None for all cases if the sweep's task is `FLY_PLAN`, because
-        in this task only the base scenario's flight is planned.
+        the case that is solved first. With the sweep's task `FLY_PLAN`, None for all cases, because
+        only the base scenario's flight is planned.
     """
 
     position: int
@@ -474,8 +477,8 @@ def expand(design: SweepDesign) -> tuple[Case, ...]:
     Returns
     -------
     tuple of Case
-        The cases. Each case has its key, which is a hash of its field values, and the row number of
-        its parent, which is the neighbouring case whose solution is the initial guess.
+        The cases. The key of each case is a hash of its field values. The parent of a case is the
+        neighbouring case whose solution is the initial guess.
     """
     parents = [_step_parents(dimension) for dimension in design.dimensions]
     sizes = [len(dimension.steps) for dimension in design.dimensions]
@@ -516,12 +519,12 @@ def case_key(overrides: Mapping[str, Any]) -> str:
 
 
 def bisection_parents(count: int) -> list[int | None]:
-    """Arrange the sorted values of a field in a balanced bisection tree, for warm starts.
+    """Arrange the sorted values of a field in a balanced bisection tree.
 
-    The root of the tree is the middle value, for which the problem is solved first. The children of
-    the root are the middle values of the two halves, which are bisected in the same way. The solve
-    for each value starts from the solution for the value's parent, a close neighbour. The number of
-    solves that must follow one another grows only with the logarithm of the number of values.
+    The solve for each value starts from the solution for the value's parent in the tree, a close
+    neighbour. The root is the middle value, and is solved first. The root's children are the middle
+    values of the two halves, and each half is bisected again. Few solves must wait for each other:
+    the longest chain of solves grows with the logarithm of the number of values.
 
     Parameters
     ----------
@@ -531,8 +534,7 @@ def bisection_parents(count: int) -> list[int | None]:
     Returns
     -------
     list of int or None
-        For each value, in sorted order, the index of its parent in this order; None for the middle
-        value, which has no parent.
+        Index of each value's parent, in the order of the sorted values. None for the root.
     """
     parents: list[int | None] = [None] * count
     pending: list[tuple[int, int, int | None]] = [(0, count, None)]

@@ -1,6 +1,6 @@
 """Selection of the figures in a sweep's report, with titles and captions.
 
-Which figures are possible depends on the scenario fields that vary: for example, a wind rose needs
+The scenario fields that vary decide which figures are possible. For example, a wind rose needs
 several wind directions, and scatter plots need fields with random values.
 """
 
@@ -168,14 +168,13 @@ class _Figures:
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
         """Select the curves that a chart against a scenario field shows.
 
-        `field` is the dotted path of the field. A curve holds the cases that differ in this field
-        only. If the sweep has more curves than a chart may show (the constant `_MOST_CURVES`), that
-        number of curves is selected, spread evenly over all curves.
+        `field` is the dotted path of the field. The cases of a curve differ only in this field. At
+        most `_MOST_CURVES` curves are selected, spread evenly over all curves.
 
         Returns
         -------
         tuple of (list of Curve, str)
-            The curves, and a sentence for the caption on curves and cases that are not drawn.
+            The curves, and a text for the caption: how many curves and cases are not drawn.
         """
         curves = self.results.curves_along(field)
         count = len(curves)
@@ -186,15 +185,16 @@ class _Figures:
         return shown, f" Shown are {_MOST_CURVES} of {count} curves.{self._hidden()}"
 
     def _hidden(self) -> str:
-        """Return the caption's sentence on the number of unfinished cases; "" if all finished."""
+        """Return a sentence for captions: how many cases did not finish; "" if all finished."""
         total = self.results.design.case_count
         missing = total - len(self.results.finished)
         return f" Not drawn: {missing} of {total} cases, which did not finish." if missing else ""
 
     def _scales(self) -> list[Dimension]:
-        """Return the dimensions of the sweep (fields that vary) that can be a chart's axis.
+        """Return the dimensions of the sweep that can be an axis of a chart.
 
-        The field of such a dimension is numeric, not random, and has at least three values.
+        A dimension is one scenario field, or several fields that change together. A chart's axis
+        needs a dimension that is numeric, not random, and has at least three values.
         """
         return [
             one
@@ -204,13 +204,13 @@ class _Figures:
 
 
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
-    """Return the caption's sentence on a wind rose's centre value and on the worst wind direction.
+    """Return a text for a wind rose's caption: the value at the centre, and the worst direction.
 
     `curves` are the curves of the wind rose, and `quantity` is the output column that the wind rose
-    shows. The centre of the wind rose stands for the least value of the quantity over all curves.
-    The worst direction is the wind direction at which the quantity has its worst value over all
-    curves. The worst value is the greatest one, but the least one of a quantity that should be
-    large, such as a saving.
+    shows. The centre stands for the least value of the quantity over all curves. The worst
+    direction is the wind direction with the worst value of the quantity over all curves. The worst
+    value is the least value if the quantity should be large, such as a saving. Otherwise the worst
+    value is the greatest value.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

@@ -43,8 +43,8 @@ class Quantity:
     def worst_row(self, frame: pd.DataFrame) -> pd.Series:
         """Return the row of a result table in which the quantity is worst.
 
-        Worst is the least value for savings, range, endurance and lowest voltage, and the greatest
-        value otherwise.
+        For savings, range, endurance and lowest voltage, the least value is worst. For all other
+        quantities, the greatest value is worst.
         """
         is_rising = not (self.column in _BETTER_LARGE or self.column.startswith("saving_"))
         return frame.sort_values(
@@ -58,7 +58,7 @@ class Quantity:
 
 
 def field_quantity(path: str) -> Quantity:
-    """Return the printed name, unit and scale of a scenario field, given by its dotted path.
+    """Return the printed name, unit and scale of a scenario field.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def field_quantity(path: str) -> Quantity:
 
 
 def output_quantity(column: str) -> Quantity:
-    """Return the printed name, unit and scale of an output column of a sweep, given by its name.
+    """Return the printed name, unit and scale of an output column of a sweep.
 
     Parameters
     ----------
@@ -112,10 +112,10 @@ def setting(value: object) -> str:
 
 
 def settings_name(fixed: Mapping[str, Any]) -> str:
-    """Return a curve's name in a chart's legend: the values of the fields constant along the curve.
+    """Return the name of a curve for a chart's legend: the field values that all its cases share.
 
-    The name lists the fields, separated by commas, such as "mass 1.2 kg". A field with a text as
-    its value is named by this text alone.
+    The name lists the fields, separated by commas, such as "mass 1.2 kg". If the value of a field
+    is a text, the name contains only this text.
 
     Parameters
     ----------
@@ -135,10 +135,9 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 def case_name(fields: Mapping[str, Any]) -> str:
     """Return the printed name of a sweep's central case: its field values, such as "a.b = 1 m".
 
-    In the central case, each field that varies has the base scenario's value or, if the sweep does
-    not contain this value, the middle of the field's values. Heat maps and sensitivities vary one
-    or two fields and keep the other fields as in the central case. Their captions contain the name
-    of the central case.
+    The central case has the field values of the base scenario. If the sweep lacks a field's base
+    value, the central case has the middle of the field's values. Heat maps and sensitivities vary
+    one or two fields of the central case. Their captions contain its name.
 
     Parameters
     ----------

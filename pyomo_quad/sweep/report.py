@@ -94,15 +94,15 @@ def write_sweep_report(
 def _outcome(results: SweepResults) -> dict[str, Any]:
     """Compute the variables of the report's template that need at least one finished case.
 
-    `results` is the result table of the sweep. The function returns a mapping from the names of the
-    variables to their values. The variables describe the following:
+    `results` is the result table of the sweep. The function returns the value of each variable by
+    the variable's name:
 
-    - the cases in which the controlled flight missed the goal, and the distance from the goal [m]
-      above which a flight has missed the goal;
-    - quantiles of each output column that the report draws;
-    - the name of the first of these output columns, and the mission durations at which the values
-      in this column are least;
-    - the range of each output column that the report draws, as each scenario field varies.
+    - ``arrivals``: for each kind of controlled flight, the cases that missed the goal;
+    - ``arrival_m``: distance from the goal [m] above which a flight has missed the goal;
+    - ``extremes``: quantiles of each output column that the report draws;
+    - ``best_of``: printed name of the first of these output columns;
+    - ``best_durations``: mission durations at which the first output column is least;
+    - ``sensitivities``: range of each output column as each scenario field varies.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -149,12 +149,15 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
     """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
 
-    The kinds are the controller's flights along the plan of the base scenario, if the sweep flies
-    this plan in each case, and the controller's flights along each reference trajectory that the
-    study names for comparison (a baseline). A flight missed the goal if its distance from the goal
-    at the end exceeds the constant `ARRIVAL_DISTANCE_M`. `results` is the result table of the
-    sweep. Each item holds the kind's name, the number of its flights, the row numbers of the cases
-    that missed the goal, and the largest distance from the goal at the end [m] in these cases.
+    `results` is the result table of the sweep. A flight missed the goal if it ended farther from
+    the goal than the constant `ARRIVAL_DISTANCE_M`. The kinds of flight differ in the trajectory
+    that the controller tracks: the plan of the base scenario, or a reference trajectory that the
+    study names for comparison. Each item has these entries:
+
+    - ``name``: printed name of the kind of flight;
+    - ``count``: number of flights of this kind;
+    - ``away``: row numbers of the cases that missed the goal;
+    - ``worst_m``: largest final distance from the goal in these cases [m]; NaN without such cases.
     """
     rows = results.finished
     for column in map(str, rows.columns):
@@ -177,13 +180,17 @@ def _sensitivities(
     """Yield the range of each quantity as each scenario field varies, for the report's template.
 
     `results` is the result table of the sweep, and `quantities` are the output columns that the
-    report draws. There is one item for each quantity. The item holds the quantity's label and its
-    factor to the printed unit, the name of the sweep's central case, the range of the quantity over
-    all cases, and the ranges of the quantity as each scenario field varies. While one field varies,
-    the other fields are as in the central case. In the central case, each field that varies has the
-    base scenario's value or, if the sweep does not contain this value, the middle of the field's
-    values. A quantity is left out if its range is known along fewer than two fields, because there
-    is then nothing to compare.
+    report draws. A quantity is left out if its range is known along fewer than two fields, because
+    there is then nothing to compare. Each item has these entries:
+
+    - ``label`` and ``scale``: printed name of the quantity, and factor to its printed unit;
+    - ``centre``: printed name of the sweep's central case;
+    - ``spread``: range of the quantity over all cases;
+    - ``found``: range of the quantity along each field, with the other fields as in the central
+      case.
+
+    The central case has the field values of the base scenario. If the sweep lacks a field's base
+    value, the central case has the middle of the field's values.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
@@ -201,11 +208,14 @@ def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[
     """Yield the mission duration at which a quantity is least, for the report's template.
 
     `results` is the result table of the sweep, and `quantity` is the output column to minimise.
-    The best duration is the duration at which the quantity is least. There is one item for each
-    combination of values of the fields other than the duration that the sweep varies. The item
-    holds these values, the best duration, the quantity at the best duration, the quantity at the
-    base scenario's duration, and the shortest duration that was solved. Nothing is yielded if the
-    sweep does not vary the mission's duration.
+    Nothing is yielded if the sweep does not vary the mission's duration. Otherwise there is one
+    item for each combination of values of the other fields that vary. Each item has these entries:
+
+    - ``fixed``: values of the other fields;
+    - ``best``: duration at which the quantity is least, and the quantity at this duration;
+    - ``scale``: factor to the printed unit of the quantity;
+    - ``at_base``: quantity at the base scenario's duration; NaN if no such case finished;
+    - ``shortest``: shortest duration that was solved.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

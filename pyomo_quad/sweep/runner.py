@@ -58,8 +58,8 @@ class SweepSummary:
     already_finished : int
         Number of cases that finished or failed in an earlier run and were not solved again.
     finished, failed, lost : int
-        Numbers of cases that this run solved, that failed numerically, and that were lost because
-        their worker process died.
+        Numbers of cases that ended in this run: solved, failed, and lost because the worker process
+        died.
     is_interrupted : bool
         Whether Ctrl-C ended the run early.
     """
@@ -78,7 +78,7 @@ class SweepSummary:
 
 
 class Sweep:
-    """Run of a parameter sweep that solves all cases without a result and stores their rows.
+    """Run of a parameter sweep: solve each case that has no result, and store its row.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class Sweep:
         Result store, open for writing. Cases that finished or failed in an earlier run are not
         solved again. Cases that were lost because their worker died are solved again.
     listener : SweepListener
-        Receives each row after it was stored.
+        Object that receives each row after the row was stored.
     solver : str, optional
         Function that solves one case, as ``module:function``.
     """
@@ -124,9 +124,10 @@ class Sweep:
         self._counts = dict.fromkeys(CaseStatus, 0)
 
     def run(self, workers: Workers) -> SweepSummary:
-        """Solve all cases that have no result yet or were lost with their worker.
+        """Solve all cases that have no result yet.
 
-        Ctrl-C ends the run early; the results so far are stored.
+        Cases that an earlier run lost with their worker are solved again. Ctrl-C ends the run
+        early; the results so far are stored.
 
         Parameters
         ----------
@@ -190,10 +191,10 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Replace each of the given cases that has already ended by cases that have not ended.
 
-        In this way a resumed sweep continues with cases whose parents ended in an earlier run.
         `cases` are the given cases. The children of a case are the neighbouring cases whose solves
-        start from the solution of this case. A case that has ended is replaced by its children, and
-        a child that has ended is replaced by the children of the child, and so on.
+        start from the solution of this case. A case that has ended is replaced by its children. A
+        child that has ended is again replaced by its own children. In this way a resumed sweep
+        continues with cases whose parents ended in an earlier run.
 
         Returns
         -------
@@ -224,12 +225,13 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        `outcome` is the row of the case that ended. The children of a case are the neighbouring
-        cases whose solves start from the solution of this case. The children of the case that ended
-        can be solved now. A child that has already ended is replaced by the children of the child.
-        A warm start is a stored solution from which children start. The warm start of the parent of
-        the case that ended is deleted from the store if none of the parent's children still needs
-        the warm start.
+        `outcome` is the row of the case. The children of a case are the neighbouring cases whose
+        solves start from the solution of this case. The children of the case that ended can be
+        solved now. A child that has already ended is replaced by its own children.
+
+        The solution of a parent is stored until all its children have ended. If the case that ended
+        was the last child of its parent, the parent's solution is deleted. A lost case does not
+        count as ended here, because a later run solves the case again.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -249,20 +251,20 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        `case` is a case that this run has just ended without losing it. The children of a case are
-        the neighbouring cases whose solves start from the solution of this case. The descendants of
-        a case are its children, the children of the children, and so on.
+        `case` is a case that has ended in this run without being lost. The children of a case are
+        the neighbouring cases whose solves start from the solution of this case. The descendants
+        are the children, the children of the children, and so on.
 
-        If the worker process of a case dies, the case is lost, and has no solution. The children of
-        a lost case start from the solution of the lost case's parent instead. As soon as a lost
-        case has ended in a later run, its descendants are solved again. All rows of the result
-        table then equal the rows of a sweep in which no worker died.
+        A case is lost if its worker process dies. A lost case has no solution, so its children
+        start from the solution of its parent. As soon as the case has ended in a later run, its
+        descendants are solved again. All rows then equal the rows of a sweep in which no worker
+        died.
 
         Returns
         -------
         list of str
-            Keys (hashes of the field values) of the descendants. The store deletes the rows with
-            these keys. Empty if no earlier run lost the case.
+            Keys (hashes of the field values) of the descendants, for the store to delete their
+            rows. Empty if no earlier run lost the case.
         """
         if case.key not in self._lost_before:
             return []
@@ -300,14 +302,14 @@ def case_task(
     solver : str
         Function that solves a case, as ``module:function``.
     warm_start : bytes or None
-        Initial guess of the case: the solution of its parent, a neighbouring case, packed into
-        bytes. None if the case has no parent or no solution is stored for the parent.
+        Initial guess, packed into bytes: the solution of the case's parent, which is a neighbouring
+        case. None if the case has no parent, or if the parent has no stored solution.
 
     Returns
     -------
     CaseTask or CaseOutcome
-        A `CaseTask`, the input of the worker, if the base scenario with the case's field values is
-        a valid scenario. Otherwise a `CaseOutcome`, the row of a failed case, for the result table.
+        `CaseTask`: the input of the worker. `CaseOutcome`: the row of a failed case, if the base
+        scenario is not valid with the case's field values.
     """
     task = CaseTask(
         position=case.position,
@@ -341,7 +343,7 @@ class SweepEstimate:
     Attributes
     ----------
     total, missing : int
-        Number of cases of the design, and of cases without a result.
+        Number of all cases of the design, and number of cases without a result.
     seconds_per_case : float
         Mean solve time of a case on one worker, in s.
     """
@@ -360,9 +362,9 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. Without stored results, two cases are
-    solved, and the time of the second counts: like most cases of a sweep, it starts from the
-    solution of a neighbouring case.
+    The time per case is the mean over the stored results. Without stored results, two neighbouring
+    cases are solved, and the time of the second case is taken. The second case starts from the
+    solution of the first case, as most cases of a sweep start from a neighbour.
 
     Parameters
     ----------

@@ -3,8 +3,8 @@
 A quantity is an output column of the sweep's result table, such as the energy. A dimension is one
 scenario field, or several fields that change together. A sweep has a case for each combination of
 the values of its dimensions. Sensitivities and heat maps vary one or two dimensions and keep the
-other fields as in the central case. The central case is the case in which each field has the base
-scenario's value or, if the sweep does not contain this value, the middle of the field's values.
+other fields as in the central case. The central case has the field values of the base scenario. If
+the sweep lacks a field's base value, the central case has the middle of the field's values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -28,7 +28,9 @@ _LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
 
 @dataclass(frozen=True, kw_only=True)
 class Curve:
-    """Finished cases of a sweep that differ in one dimension only, sorted along it.
+    """Finished cases of a sweep that differ only along one dimension, in the order of its values.
+
+    A dimension is one scenario field, or several fields that change together.
 
     Attributes
     ----------
@@ -46,28 +48,28 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies.
 
-    The values of a field are either given (listed or spaced) or drawn at random. While one field
-    varies, all other fields with given values are as in the central case of the sweep. In the
-    central case, each field with given values has the base scenario's value or, if the sweep does
-    not contain this value, the middle of the field's values.
+    The values of a field are either given (listed or spaced) or drawn at random. All other fields
+    with given values are as in the central case of the sweep. The central case has the field values
+    of the base scenario. If the sweep lacks a field's base value, the central case has the middle
+    of the field's values.
 
-    If the field that varies has given values and the sweep also has random fields, the quantity is
-    averaged over the draws of the random fields. If the field that varies is random, a linear
-    function of all random fields is fitted to the quantity. The fitted function then replaces the
-    quantity, with the other random fields at their means.
+    For a field with given values, the quantity is averaged over the draws of the random fields, if
+    there are any. For a random field, a linear function of all random fields is fitted to the
+    quantity. The fitted function then replaces the quantity, with the other random fields at their
+    means.
 
     Attributes
     ----------
     field : str
-        Dotted path of the scenario field that varies. If several fields with given values change
-        together, this is the first of these fields.
+        Dotted path of the scenario field that varies. If several fields change together, the path
+        of the first field.
     least, greatest : float
         Least and greatest value of the quantity, in the unit of its column.
     least_at, greatest_at : float
         Values of the field at which the quantity is least and greatest.
     base : float
-        The quantity in the central case, NaN if that case failed. For a random field, the fitted
-        function at the means of all random fields.
+        The quantity in the central case; NaN if the central case failed. For a random field: the
+        fitted function at the means of all random fields.
     """
 
     field: str
@@ -94,8 +96,8 @@ class Spread:
     least_case, greatest_case : int
         Row numbers of the cases with these values.
     linear_share : float
-        Fraction of the quantity's variance that a linear fit in the random fields explains (the
-        coefficient of determination); NaN without random fields, or with too few cases for a fit.
+        Fraction of the quantity's variance that a linear fit in the random fields explains: the
+        coefficient of determination. NaN without random fields, or with too few cases for a fit.
     """
 
     least: float
@@ -106,12 +108,10 @@ class Spread:
 
     @property
     def note(self) -> str:
-        """Part of a caption: the share of the quantity's variance that the random fields explain.
+        """Part of a caption: how much of the quantity's variance the random fields explain.
 
-        The share is the attribute `linear_share`, printed in percent: the fraction of the variance
-        that a linear fit in the random fields explains. The text begins with a semicolon, to
-        continue a sentence. The text is empty if `linear_share` is NaN, because no field is random
-        or there are too few cases for a fit.
+        The text begins with a semicolon, because it continues a sentence. The text contains the
+        attribute `linear_share` in percent, and is empty if `linear_share` is NaN.
         """
         if isnan(self.linear_share):
             return ""
@@ -130,9 +130,9 @@ class Best:
     at, value : float
         The field's best value, and the quantity at this value.
     below, above : float or None
-        The sweep's next smaller and next larger value of the field; None if there is none.
+        Next smaller and next larger value of the field in the sweep; None if there is none.
     is_below_flown, is_above_flown : bool
-        Whether the cases at these two values finished.
+        Whether the case at `below` finished, and whether the case at `above` finished.
     """
 
     at: float
@@ -147,8 +147,8 @@ class Best:
         """Whether the cases at the next smaller and next larger value of the field both finished.
 
         If both cases finished, the quantity has a local minimum at the best value of the field.
-        Otherwise the quantity may be still smaller at a neighbouring value whose case failed, or
-        beyond the values of the field that the sweep tries.
+        Otherwise a neighbouring case failed, or the best value is the first or the last value in
+        the sweep. The quantity may then be still smaller at other values.
         """
         return self.is_below_flown and self.is_above_flown
 
@@ -160,10 +160,10 @@ class SweepResults:
     Attributes
     ----------
     design : SweepDesign
-        Specification of the sweep, with list values as JSON text as in the table's cells.
+        Specification of the sweep, with lists as JSON texts, as in the table's cells.
     frame : DataFrame
-        Result table with one row for each case that ended, as the function `results_frame` reads
-        it from the result store.
+        Result table with one row for each case that ended, as the function `results_frame` reads it
+        from the result store.
     """
 
     design: SweepDesign
@@ -171,16 +171,16 @@ class SweepResults:
 
     @cached_property
     def finished(self) -> pd.DataFrame:
-        """Rows of the result table whose case was solved and verified."""
+        """Rows of the cases that were solved and verified."""
         return self.frame[self.frame[STATUS_COLUMN] == CaseStatus.FINISHED.value]
 
     @cached_property
     def central_case(self) -> dict[str, Any]:
         """Field values of the sweep's central case, by dotted path, without random fields.
 
-        A field has the base scenario's value if the sweep contains this value, otherwise the middle
-        of the field's values. Heat maps and sensitivities vary one or two fields and keep the
-        others at these values.
+        A field has the base scenario's value if the sweep contains this value. Otherwise the field
+        has the middle of its values in the sweep. If several fields change together, only the first
+        field is included. Heat maps and sensitivities vary one or two fields of the central case.
         """
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
@@ -216,8 +216,8 @@ class SweepResults:
         Returns
         -------
         list of Curve
-            One curve for each combination of the other dimensions' values, in the order of the
-            design; combinations without a finished case are left out.
+            One curve for each combination of values of the other fields that vary, in the order of
+            the design. Combinations without a finished case are left out.
         """
         others = [one for one in self.design.dimensions if field not in one.paths]
         curves = []
@@ -231,13 +231,13 @@ class SweepResults:
     def beside(self, *along: Dimension) -> dict[str, Any]:
         """Return the central case's field values without the fields of the given dimensions.
 
-        In the central case, each field that varies has the base scenario's value or, if the sweep
-        does not contain this value, the middle of the field's values.
+        The central case has the field values of the base scenario. If the sweep lacks a field's
+        base value, the central case has the middle of the field's values.
 
         Parameters
         ----------
         *along : Dimension
-            Dimensions that vary in a chart, whose fields are left out.
+            Dimensions (fields that vary) to leave out, because they vary in a chart.
 
         Returns
         -------
@@ -250,15 +250,15 @@ class SweepResults:
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
         """Tabulate a quantity over two dimensions of the sweep, with all other fields held fixed.
 
-        Each other field is held at its value in the base scenario or, if the sweep does not contain
-        this value, at the middle of its values. If the sweep has random fields, the quantity is
-        averaged over their draws.
+        Each other field is held at its value in the base scenario. If the sweep does not contain
+        this value, the field is held at the middle of its values. If the sweep has random fields,
+        the quantity is averaged over their draws.
 
         Parameters
         ----------
         across, up : Dimension
-            Dimension whose values head the table's columns, and dimension whose values head its
-            rows. A dimension of several fields is represented by its first field.
+            Dimension along the columns of the table, and dimension along the rows of the table. The
+            first field of each dimension gives the values.
         quantity : str
             Output column.
 
@@ -277,19 +277,18 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        The values of a field are either given (listed or spaced) or drawn at random. All fields
-        with given values, except the field whose effect is computed, are as in the central case.
-        In the central case, each field with given values has the base scenario's value or, if the
-        sweep does not contain this value, the middle of the field's values.
+        The values of a field are either given (listed or spaced) or drawn at random. While one
+        field varies, all other fields with given values are as in the central case. The central
+        case has the field values of the base scenario. If the sweep lacks a field's base value, the
+        central case has the middle of the field's values.
 
-        For a field with given values, the range of the quantity is taken over all values of the
-        field. The first and the last value of the field alone do not suffice: for an angle that
-        goes once around, the quantity is the same at the first and at the last value. If the sweep
-        also has random fields, the quantity is averaged over their draws.
+        For a field with given values, the range is taken over all values of the field. The first
+        and the last value do not suffice: at both ends of a full turn of an angle, the quantity is
+        the same. If the sweep also has random fields, the quantity is averaged over their draws.
 
         For a random field, a linear function of all random fields is fitted to the quantity by
         least squares. The range is that of the fitted function between the 5 % and 95 % quantiles
-        of the field's draws, with the other random fields at their means.
+        of the field's draws. The other random fields are at their means.
 
         Parameters
         ----------
@@ -311,7 +310,9 @@ class SweepResults:
         return sorted(found, key=lambda one: one.swing, reverse=True)
 
     def spread(self, quantity: str) -> Spread:
-        """Compute the range of a quantity over all finished cases, of which there is at least one.
+        """Compute the range of a quantity over all finished cases.
+
+        At least one case must have finished.
 
         Parameters
         ----------
@@ -361,10 +362,9 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 
 
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
-    """Return the rows on the Pareto front of two quantities that are both to be small.
+    """Return the rows on the Pareto front of two quantities to minimise.
 
-    A row lies on the front if every other row with a smaller or equal first quantity has a larger
-    second quantity.
+    A row lies on the front if every other row is larger in at least one of the two quantities.
 
     Parameters
     ----------
@@ -376,7 +376,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Rows of the front, sorted by ascending first quantity; the last row has the least second
+        Rows of the front, sorted by ascending first quantity. The last row has the least second
         quantity of all candidates.
     """
     ordered = rows.sort_values([first, second])
@@ -421,9 +421,10 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 class _Plane:
     """Linear least-squares fit of a quantity over the random fields of a sweep.
 
-    The fit is ``middle + slopes @ (values - centre)``, where ``values`` are the values of the
-    random ``fields``, ``centre`` their means over the cases, and ``middle`` the fit at the means.
-    ``explained`` is the fraction of the quantity's variance that the fit explains.
+    The fit is ``middle + slopes @ (values - centre)``. ``values`` are the values of the random
+    ``fields``, and ``centre`` are the means of these values over the cases. ``middle`` is the value
+    of the fit at ``centre``. ``explained`` is the fraction of the quantity's variance that the fit
+    explains.
     """
 
     fields: tuple[str, ...]

@@ -1,8 +1,8 @@
 """Result store of a parameter sweep: an SQLite database in the sweep's output folder.
 
-The store holds the sweep's design, one row for each case that has ended, and the warm starts (the
-solutions of cases whose neighbours start from them). Each row is committed when its case ends, so
-that an interrupted sweep loses no result.
+The store holds the sweep's design and one row for each case that has ended. The store also holds
+warm starts: solutions from which the solves of neighbouring cases start. Each row is committed when
+its case ends, so that an interrupted sweep loses no result.
 """
 
 import errno
@@ -58,7 +58,7 @@ class StoreError(OutputError):
 def locked_folder(folder: Path) -> Iterator[None]:
     """Context manager: create an output folder, and lock it so that no other sweep writes there.
 
-    The operating system releases the lock when this process ends, even if it is killed.
+    The operating system releases the lock when this process ends, even if the process is killed.
 
     Parameters
     ----------
@@ -128,9 +128,9 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
     """Context manager: connect to an SQLite database for reading, even on a read-only disk.
 
-    SQLite can read a database that has a write-ahead log only if the folder is writable. On a
-    read-only disk, database and log are copied to a temporary folder and read there, so that rows
-    that are only in the log are not missed.
+    SQLite keeps new rows in a log file beside the database, and can read the log only in a writable
+    folder. On a read-only disk, the database and its log are therefore copied to a temporary folder
+    and read there.
 
     Parameters
     ----------
@@ -159,18 +159,18 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 
 
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
-    """Create the tables of a result store in an empty database; check that it is writable.
+    """Create the tables of a result store in an empty database.
 
-    If the database already has tables, only the check is made: a write transaction is begun, and
-    nothing is changed.
+    The function also checks that the database is writable. If the database already has tables, only
+    this check is made.
 
     Parameters
     ----------
     connection : sqlite3.Connection
         Connection to the database, opened for writing.
     notes : mapping
-        Rows of the new table ``sweep``: the sweep's design as JSON text under the name ``design``,
-        and the version of pyomo_quad under the name ``version``.
+        Rows of the new table ``sweep``, by name: ``design`` is the sweep's design as JSON text, and
+        ``version`` is the version of pyomo_quad.
 
     Raises
     ------
@@ -205,9 +205,8 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
     Raises
     ------
     StoreError
-        If another program made the database, the store's format number is not the number of the
-        format that this version of pyomo_quad uses, or the database's tables differ from the tables
-        that this version creates.
+        If another program made the database, its format number is not the present number, or its
+        tables are not those of the present format.
     """
     if _application_of(connection) != _APPLICATION_ID:
         raise _not_a_store(file)
@@ -229,14 +228,14 @@ def check_format(connection: sqlite3.Connection, file: Path) -> None:
 
 
 def damaged(file: Path, what: str) -> StoreError:
-    """Make the error for a result store whose content no sweep can have written.
+    """Make the error for a damaged result store.
 
     Parameters
     ----------
     file : Path
         File of the store.
     what : str
-        The fault, which the message quotes.
+        Description of the damage, for the message.
 
     Returns
     -------
@@ -249,7 +248,7 @@ def damaged(file: Path, what: str) -> StoreError:
 
 
 def discard(file: Path) -> None:
-    """Delete a result store, if there is one, with the log and index files that SQLite adds.
+    """Delete a result store with its log and index files, if there is one.
 
     Parameters
     ----------
@@ -306,7 +305,8 @@ def refuse_kept_results(folder: Path) -> None:
     Raises
     ------
     StoreError
-        The message names the command that reads the results, `pyomo-quad sweep-report`.
+        If the folder has results and cannot be written. The message names the command that reads
+        them: `pyomo-quad sweep-report`.
     """
     if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
         is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
@@ -348,8 +348,8 @@ _Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LAR
 class StoredCase(BaseModel):
     """Row of a result store for one case of a sweep, validated when it is read.
 
-    The columns are the key of the case (a hash of its field values), these field values, status,
-    reason of a failure, output values, and wall time of the solve [s].
+    The key of the case is a hash of its field values. The other columns are the field values,
+    status, reason of a failure, output values, and wall time of the solve [s].
     """
 
     model_config = ConfigDict(strict=True, frozen=True)
@@ -384,7 +384,7 @@ class ResultStore:
     def reading(cls, folder: str | Path) -> Iterator["ResultStore"]:
         """Context manager: open a result store for reading.
 
-        This is possible while a sweep is writing the store, and on a read-only disk.
+        A store can be read while a sweep is writing it, and on a read-only disk.
 
         Parameters
         ----------
@@ -454,9 +454,9 @@ class ResultStore:
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
         """Replace the stored design by a design that contains all stored cases.
 
-        In an extended design the cases have other parents (the cases from whose solutions they
-        start). Therefore the warm starts of the previous run are deleted; otherwise results would
-        depend on how far that run had come.
+        If the axes differ, the warm starts of the previous run are deleted. A warm start is a
+        solution from which neighbouring cases start. With other axes, the cases have other
+        neighbours. Results would then depend on which warm starts the previous run had stored.
 
         Parameters
         ----------
@@ -476,8 +476,8 @@ class ResultStore:
     def statuses(self) -> dict[str, CaseStatus]:
         """Return the status of each stored case, by the case's key (a hash of its field values).
 
-        A case is finished (solved and verified), failed (the solve or its verification failed) or
-        lost (the worker process died while it solved the case).
+        A finished case was solved and verified. A failed case could not be solved or verified. A
+        lost case has no result, because its worker process died.
         """
         return {key: row.status for key, row in self.rows().items()}
 
@@ -487,7 +487,7 @@ class ResultStore:
         Returns
         -------
         dict
-            Row of each case that has ended, by the case's key, which is a hash of the values of
+            Row of each case that has ended, by the case's key. The key is a hash of the values of
             the scenario fields that vary.
 
         Raises
@@ -522,11 +522,11 @@ class ResultStore:
         spent: str = "",
         outdated: Iterable[str] = (),
     ) -> None:
-        """Commit the row of a case that ended; an earlier row of the case is replaced.
+        """Commit the row of a case that ended, in place of an earlier row of the case.
 
-        A warm start is the solution of a case, stored because neighbouring cases start from it. The
-        new row, the new warm start and all deletions are written in one database transaction. The
-        key of a case is a hash of the values of the scenario fields that vary.
+        A warm start is a stored solution from which neighbouring cases start. The row, the warm
+        start and all deletions are written in one database transaction. The key of a case is a hash
+        of the values of the scenario fields that vary.
 
         Parameters
         ----------
@@ -538,10 +538,10 @@ class ResultStore:
             Whether other cases start from the solution of this case. If so, the solution is stored
             as a warm start.
         spent : str, optional
-            Key of a case whose warm start is deleted, because no other case needs this warm start
-            any more; empty if no warm start is deleted.
+            Key of a case whose warm start is no longer needed, to delete the warm start. Empty to
+            delete none.
         outdated : iterable of str, optional
-            Keys of cases whose rows and warm starts are no longer valid, to delete.
+            Keys of cases whose rows and warm starts are no longer valid, and are deleted.
 
         Raises
         ------
@@ -671,10 +671,10 @@ _MOST_CHANGES = 5
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     """Continue a result store with a changed study, if the stored rows remain valid.
 
-    The rows remain valid if each row belongs to a case of the new design, and the following are
-    unchanged: the base scenario, the task (to plan each case's flight, or to fly the base case's
-    plan in each case), and the baselines (reference trajectories that the controller flies in each
-    case). The new design is then written into the store.
+    The rows remain valid if all their cases are in the new design, and base scenario, task and
+    baselines are unchanged. The task is to plan each case's flight, or to fly the base scenario's
+    plan in each case. The baselines are reference trajectories that the controller flies for
+    comparison. If the rows remain valid, the new design is written into the store.
 
     Parameters
     ----------

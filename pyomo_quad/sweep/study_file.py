@@ -64,8 +64,12 @@ class Sampling(Part):
     def draw(self, axis_count: int) -> np.ndarray:
         """Draw random points in the unit cube; each point has a coordinate for each random field.
 
-        The value of a random field in a sample is the quantile of the field's distribution at the
-        probability that the coordinate gives.
+        A point is one sample. The coordinate of a field is a probability: the field's value is the
+        quantile of the field's distribution at this probability.
+
+        With the method ``random``, a larger number of samples keeps the previous points and appends
+        further points, so that a study can be extended. With a Latin hypercube, another number of
+        samples changes all points.
 
         Parameters
         ----------
@@ -75,10 +79,8 @@ class Sampling(Part):
         Returns
         -------
         ndarray, shape (count, axis_count)
-            Coordinates of the points, strictly between 0 and 1; the attribute `count` is the
-            number of samples. With the method ``random``, an increase of `count` keeps the previous
-            points and appends further points, so that a study can be extended. With a Latin
-            hypercube, all points change if `count` changes.
+            Coordinates of the points, strictly between 0 and 1. The attribute `count` is the number
+            of samples.
         """
         generator = np.random.default_rng(self.seed)
         if self.method is SamplingMethod.RANDOM:
@@ -143,8 +145,8 @@ class LoadedStudy:
     study : Study
         Content of the file.
     base : Scenario
-        The base scenario. The fields that the study file lists in its table ``fixed`` have the
-        values of that table instead of those of the scenario file.
+        The base scenario. Values in the study file's table ``fixed`` replace the values in the
+        scenario file.
     """
 
     source: str
@@ -158,7 +160,8 @@ def load_study(path: str | FilePath) -> LoadedStudy:
     Parameters
     ----------
     path : str or Path
-        Study file (TOML). The path of its base scenario is relative to its folder.
+        Study file (TOML). The study file gives the path of the base scenario relative to its own
+        folder.
 
     Returns
     -------
@@ -256,8 +259,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     loaded : LoadedStudy
         Study file and base scenario, from `load_study`.
     is_large_allowed : bool, default False
-        Whether the sweep may have more cases than the constant `CASE_LIMIT`, which guards against
-        sweeps that are large by mistake.
+        Whether the sweep may have more cases than the constant `CASE_LIMIT`. The limit guards
+        against sweeps that are large by mistake.
 
     Returns
     -------
@@ -267,8 +270,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     Raises
     ------
     StudyError
-        If two axes set the same field, two axes of a group (whose fields change together) have
-        different numbers of values, a value occurs twice, or there are too many cases.
+        If two axes set the same field, a value occurs twice, or there are too many cases. Also if
+        axes that change together have different numbers of values.
     ScenarioError
         If an axis names an unknown field, or has a value that the field does not allow.
 
@@ -391,8 +394,8 @@ def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any: 
     Returns
     -------
     object
-        The number as float or int, like the field's value in the base scenario; the given value if
-        no exact conversion is possible.
+        The number as float or int, like the field's value in the base scenario. If no exact
+        conversion is possible, the given value.
     """
     present = value_at(tables, *(parse_path(path) or ()))
     if isinstance(present, bool) or isinstance(value, bool):

@@ -1,10 +1,9 @@
 """Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
-Processes and cluster both offer an Executor of `concurrent.futures`. `Workers` adds the recovery
-from a worker that dies, for example because it runs out of memory. The broken executor is
-replaced, and every case that was running is solved again, one at a time, because any of them may
-have killed the worker. A case during which a worker dies again is given up; the other cases
-continue.
+Processes and cluster both offer an Executor of `concurrent.futures`. `Workers` recovers from the
+death of a worker, for example because the worker runs out of memory. The broken executor is then
+replaced. Any of the running cases may have killed the worker, so all of them are solved again, one
+at a time. If a worker dies again during a case, the case is given up, and the other cases continue.
 """
 
 from collections import deque
@@ -33,8 +32,9 @@ WATCH_SECONDS = 2.0
 class ClusterError(PyomoQuadError, RuntimeError):
     """Error: a Dask cluster cannot be used, or was lost during a sweep.
 
-    A cluster cannot be used if `dask.distributed` is not installed on this machine, if the cluster
-    cannot be reached, or if a worker has no pyomo_quad or another version of it.
+    A cluster cannot be used if `dask.distributed` is not installed on this machine or the cluster
+    cannot be reached. A cluster also cannot be used if pyomo_quad is missing or has another version
+    on a worker.
 
     The results of cases that finished before the error remain in the result store.
     """
@@ -53,8 +53,8 @@ class Workers:
     end : callable
         Function that stops an executor without waiting for its running tasks.
     count : callable
-        Function that returns the number of tasks that can run at a time; raises ClusterError if
-        the cluster is lost.
+        Function that returns the number of tasks that can run at a time. The function raises
+        ClusterError if the cluster is lost.
     """
 
     description: str
@@ -72,7 +72,7 @@ class Workers:
     def room(self) -> int:
         """Number of further cases that may be submitted now.
 
-        It is 0 while cases that may have killed a worker are solved again, one at a time.
+        The number is 0 while cases that may have killed a worker are solved again, one at a time.
         """
         if self._suspects or self._is_alone:
             return 0
@@ -101,8 +101,8 @@ class Workers:
         Returns
         -------
         list of CaseOutcome
-            Rows of all cases that have ended since the last call. A case that killed its worker
-            twice, the second time while it ran alone, has the status `LOST`.
+            Rows of all cases that have ended since the last call. A case has the status `LOST` if
+            its worker died twice, the second time while no other case ran.
 
         Raises
         ------
@@ -125,7 +125,7 @@ class Workers:
     def stop(self) -> list[CaseOutcome]:
         """Stop the executor, and return the rows of cases that ended after the last call of `wait`.
 
-        Submitted cases that have not ended are discarded, as are cases whose worker died.
+        All other submitted cases are discarded.
         """
         outcomes = [
             future.result()
@@ -162,8 +162,8 @@ class Workers:
     def _suspect_all(self) -> None:
         """Queue all cases of a broken executor to be solved again, one at a time.
 
-        An executor is broken if a worker process died. Any of the running cases may have caused its
-        death.
+        An executor is broken if a worker process died. Any of the running cases may have killed the
+        process.
         """
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:

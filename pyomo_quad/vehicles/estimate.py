@@ -22,8 +22,8 @@ class Estimate:
     value : float
         Best value, in SI units.
     low, high : float
-        Ends of the range of uncertainty, in which the property of most vehicles of this size lies.
-        For a given or computed value, `low` and `high` equal the value.
+        Ends of the range of uncertainty. The property of most vehicles of this size is in this
+        range. For a given or computed value, `low` and `high` equal the value.
     kind : Kind
         Whether the value was given, computed, estimated or measured.
     said : str

@@ -31,8 +31,7 @@ def vehicle_text(vehicle: EstimatedVehicle, title: str) -> str:
     vehicle : EstimatedVehicle
         The vehicle.
     title : str
-        Description of the vehicle in a few words, which is written into the first line of the file
-        and into the vehicle's field ``title``.
+        Short description of the vehicle, for the first line of the file and the field ``title``.
     """
     known = vehicle.known
     lines = [

@@ -53,8 +53,8 @@ class Held:
     is_endurance : bool
         Whether the measured powers were computed from measured flight times.
     is_fitted : bool
-        Whether parameters of the vehicle's power model were fitted to measurements, so that the
-        comparison with measurements is no independent test of the model.
+        Whether parameters of the vehicle's power model were fitted to measurements. The comparison
+        is then no independent test of the model.
     source : str
         Source of the measurements.
     """
@@ -176,14 +176,15 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 def data_sheets() -> pd.DataFrame:
     """Compare estimated with published hover powers of vehicles of which only data sheets exist.
 
+    If a data sheet gives only the endurance in hover, the published power is computed from the
+    endurance: 80 % of the battery's nominal energy, divided by the endurance.
+
     Returns
     -------
     DataFrame
-        One row for each vehicle: title, mass [kg], propeller label (diameter and pitch in inches),
-        published and estimated hover power [W], error of the estimate relative to the published
-        power [percent], kind of the publication (such as bench test or endurance), and source. If a
-        data sheet gives only the endurance in hover, the published power is 80 % of the battery's
-        nominal energy divided by the endurance.
+        One row for each vehicle. The columns are title, mass [kg], propeller label (diameter and
+        pitch in inches), published and estimated hover power [W], error of the estimate relative to
+        the published power [percent], kind of publication (such as bench test), and source.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []

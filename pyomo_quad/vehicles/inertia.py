@@ -18,7 +18,7 @@ _PACK_DENSITY = 2300.0  # kg/m^3
 
 @dataclass(frozen=True, kw_only=True)
 class MassModel:
-    """Mass model of a multirotor: motors at the ends of arms, arms, cylindrical body and battery.
+    """Mass model of a multirotor: arms with motors at their ends, cylindrical body and battery.
 
     Attributes
     ----------

@@ -1,9 +1,9 @@
 """Estimation of a vehicle's model parameters from the few data that its owner knows.
 
 The owner states at least the vehicle's mass and the size of its propellers, and possibly the length
-of its arms, its battery and other data. From these data the module computes or estimates every
-parameter of the vehicle that a scenario needs, such as moments of inertia and drag coefficients, as
-well as the vehicle's limits and battery. Each estimate has a range of uncertainty.
+of its arms, its battery and other data. From these data the module estimates all numbers of the
+vehicle that a scenario needs: model parameters, such as moments of inertia, as well as limits and
+battery. Each estimate has a range of uncertainty.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -152,7 +152,10 @@ class EstimatedVehicle:
 
     @property
     def is_measured(self) -> bool:
-        """Whether the owner has measured the hover power, by which the power model is scaled."""
+        """Whether the owner has measured the hover power.
+
+        If so, the parameters of the power model are scaled by the measurement.
+        """
         return self.known.hover_power is not None
 
 
@@ -302,8 +305,9 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
     Returns
     -------
     tuple of (dict, float)
-        Estimate of each parameter by its field in the table `vehicle`, and the hover power [W]
-        that follows from the estimates alone, even if the owner has measured the hover power.
+        Estimate of each parameter, by the field's name in the scenario's table `vehicle`; and the
+        hover power [W] from the estimates alone. The owner's measurement does not change this hover
+        power.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
@@ -401,7 +405,7 @@ def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | Non
     """Return the body coordinates x, y [m] of six or eight rotors, equally spaced on a circle.
 
     `rotors` is the number of rotors, and `arm` the radius of the circle [m]. The result is None for
-    four rotors, for which the model needs only the length of the arms.
+    four rotors, because the model then needs only the length of the arms.
     """
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(

@@ -64,7 +64,7 @@ class Propeller:
     def coefficient(self) -> float:
         """Static thrust coefficient C_T: thrust divided by rho n² D⁴.
 
-        The symbols are the air density rho, the revolutions per second n and the diameter D.
+        In this formula, rho is the air density, n the revolutions per second and D the diameter.
 
         Derivation: see docs/theory/vehicle_from_data.md, eq. (1).
         """
@@ -119,8 +119,8 @@ class RotorHover:
     speed : float
         Rotor speed [rad/s].
     ideal_power, induced_power, profile_power : float
-        Power of an ideal rotor of equal thrust and disc area, induced power, and power of the
-        blades' drag [W].
+        Power of an ideal rotor with equal thrust and disc area; power to accelerate the air
+        downwards; and power to overcome the drag of the blades [W].
     profile_over_thrust : float
         Profile power divided by T^1.5 / sqrt(rho A), dimensionless; T is the thrust, rho the air
         density and A the area of the rotor disc.

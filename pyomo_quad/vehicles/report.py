@@ -46,8 +46,8 @@ def write_vehicles(
     Returns
     -------
     DataFrame
-        Published and estimated hover powers of the vehicles of which only data sheets exist, as the
-        function `data_sheets` returns them.
+        Result of the function `data_sheets`: published and estimated hover powers of the vehicles
+        of which only data sheets exist.
     """
     sheets = data_sheets()
     drawings = write_study(

@@ -43,9 +43,9 @@ class Cause:
     measurement : str
         The measurement that would determine the quantity.
     low, high : ndarray, shape (len(AIRSPEEDS),)
-        Powers [W] of level flight if the quantity is at the lower and at the upper end of its range
-        of uncertainty. There is one power for each airspeed in the constant `AIRSPEEDS` [m/s]; the
-        power is NaN where the vehicle has no steady flight.
+        Power of level flight [W] with the quantity at the lower end of its range of uncertainty,
+        and with the quantity at the upper end. There is one power for each airspeed in the constant
+        `AIRSPEEDS` [m/s]. The power is NaN where the vehicle has no steady flight.
     """
 
     name: str
@@ -61,8 +61,8 @@ class PowerBand:
     Attributes
     ----------
     power, low, high : ndarray, shape (len(AIRSPEEDS),)
-        Best estimate of the power [W], and lower and upper end of the power's range of uncertainty,
-        for each airspeed in the constant `AIRSPEEDS` [m/s].
+        Best estimate, lower end and upper end of the power [W]. There is one value for each
+        airspeed in the constant `AIRSPEEDS` [m/s].
     causes : tuple of Cause
         Causes of the uncertainty.
     """
@@ -75,9 +75,9 @@ class PowerBand:
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
         """Return each cause with its mean relative effect on the power, the largest effect first.
 
-        The effect is half the absolute difference between the powers at both ends of the range of
-        the uncertain quantity, divided by the best estimate of the power. It is averaged over the
-        airspeeds.
+        A cause is an uncertain quantity. The effect is half the absolute difference between the
+        powers at both ends of the quantity's range, divided by the best estimate of the power. The
+        effect is averaged over the airspeeds.
         """
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
@@ -136,10 +136,10 @@ def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]
     Returns
     -------
     list of (str, str, Numbers, Numbers)
-        For each quantity: its name, the measurement that would determine it, and two mappings. The
-        first mapping gives the values that fields of the scenario's table `vehicle` have if the
-        quantity is at the lower end of its range of uncertainty, the second mapping those at the
-        upper end. Fields that do not depend on the quantity are absent from both mappings.
+        For each quantity: name, measurement that would determine the quantity, field values at the
+        lower end of the quantity's range, and field values at the upper end. The field values are
+        mappings from field names of the scenario's table `vehicle` to numbers. They contain only
+        fields that depend on the quantity.
     """
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}
