@@ -111,8 +111,8 @@ class RefinementOptions:
 # predicted to be the last, and the error below which elements merge.
 _AIM, _LAST_AIM = 0.3, 0.03
 _MARGIN = 1e-2
-# Largest error, in units of the tolerance, from which the next mesh is predicted to be the last.
-_LAST = 1e4
+# Largest relative error of a mesh from which the next mesh is predicted to be the last.
+_LAST = 1.0
 # Elements are merged on the first meshes only, so that merging and splitting cannot alternate.
 _MERGING_MESHES = 8
 # A control that is still clipped after this many meshes becomes constant in this many parts of its
@@ -384,7 +384,7 @@ def _finer(
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
         # Straight lines satisfy the limits that their ends satisfy.
         return _parts(mesh, e, 2, 1, size)
-    is_last = error.largest <= _LAST * tolerance
+    is_last = error.largest <= _LAST
     if options.limits_move and error.violation[e] == size:
         wanted = math.ceil((size / tolerance) ** (1.0 / _VIOLATION_ORDER))
         count = min(_MOST_PARTS_AT_LIMIT, max(2, wanted)) if is_last else _MOST_PARTS
