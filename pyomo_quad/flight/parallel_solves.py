@@ -12,7 +12,7 @@ from functools import partial
 from multiprocessing.reduction import ForkingPickler
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from pyomo_quad.processes import cores, side_by_side
+from pyomo_quad import processes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ def most_solves() -> int:
     It is the number of available cores. It is 1 where this process must not be forked, for example
     on systems other than Linux.
     """
-    return cores(os.cpu_count() or 1, use_blas=True)
+    return processes.cores(os.cpu_count() or 1, use_blas=True)
 
 
 def solve_side_by_side(
@@ -72,7 +72,9 @@ def solve_side_by_side(
 
     _SHARED[:] = [mission.problem, mission.problem.compiled]
     is_stopped = None if search is None else search.is_stopped
-    with side_by_side([partial(carry_out, s) for s in solves], is_stopped=is_stopped) as finish:
+    with processes.side_by_side(
+        [partial(carry_out, s) for s in solves], is_stopped=is_stopped
+    ) as finish:
         answers = finish()
     found = []
     for answer in answers:

@@ -123,7 +123,7 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
           horizontal acceleration. It is initially zero. During the flight, the planner sets it to
           the observed acceleration less the modelled acceleration.
         - The limits are soft: a flight may violate them, but each violation adds a penalty to the
-          objective. See the module `model.soft_limits`.
+          objective. See `model.soft_limits`.
 
     Examples
     --------

@@ -100,6 +100,14 @@ class RefinementOptions:
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
+    def is_simulated(self) -> bool:
+        """Whether a simulation of the controls will check the result.
+
+        This is so if `allowance` has a tolerance for such a simulation.
+        """
+        return self.allowance != Allowance()
+
+    @property
     def first_mesh(self) -> Mesh:
         """Initial mesh of a refinement: elements of equal width and equal degree."""
         return Mesh.uniform(self.first_elements, self.first_degree)
@@ -111,7 +119,10 @@ class RefinementOptions:
 # predicted to be the last, and the error below which elements merge.
 _AIM, _LAST_AIM = 0.3, 0.03
 _MARGIN = 1e-2
-# Largest relative error of a mesh from which the next mesh is predicted to be the last.
+# Largest relative error of a mesh from which the next mesh is predicted to be the last. Nothing is
+# predicted if no simulation checks the result: the estimated error of the states is then what the
+# last mesh moved them, which is too little if this mesh differs from the one before it in few
+# elements.
 _LAST = 1.0
 # Elements are merged on the first meshes only, so that merging and splitting cannot alternate.
 _MERGING_MESHES = 8
@@ -384,7 +395,7 @@ def _finer(
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
         # Straight lines satisfy the limits that their ends satisfy.
         return _parts(mesh, e, 2, 1, size)
-    is_last = error.largest <= _LAST
+    is_last = options.is_simulated and error.largest <= _LAST
     if options.limits_move and error.violation[e] == size:
         wanted = math.ceil((size / tolerance) ** (1.0 / _VIOLATION_ORDER))
         count = min(_MOST_PARTS_AT_LIMIT, max(2, wanted)) if is_last else _MOST_PARTS

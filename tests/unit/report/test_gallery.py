@@ -44,7 +44,7 @@ def drawn(drawings, folder):
 def test_two_processes_write_the_files_of_one(drawings, tmp_path, monkeypatch):
     together = {}
     for cores in (1, 2):
-        monkeypatch.setattr(processes, "_cores", lambda _most, cores=cores, **_: cores)
+        monkeypatch.setattr(processes, "cores", lambda _most, cores=cores, **_: cores)
         together[cores] = drawn(drawings, tmp_path / str(cores))
     assert together[1] == together[2]
     assert len(together[1]) == len(drawings)
@@ -56,7 +56,7 @@ def test_each_figure_is_drawn_once(tmp_path, monkeypatch):
             calls.write(f"{name} {os.getpid()}\n")
         return blank(name).draw()
 
-    monkeypatch.setattr(processes, "_cores", lambda _most, **_: 2)
+    monkeypatch.setattr(processes, "cores", lambda _most, **_: 2)
     counted = [
         Drawing(name=name, title="", caption="", draw=lambda name=name: draw(name))
         for name in "abcdef"

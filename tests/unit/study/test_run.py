@@ -6,9 +6,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from pyomo_quad import processes, run
+from pyomo_quad import processes
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.scenario import Reference, load_scenario
+from pyomo_quad.study import run
 
 SHORT = (
     "mission.goal.position=[1.0, 0.0, 0.5]",
@@ -32,7 +33,7 @@ def runs(monkeypatch):
     monkeypatch.setattr(run, "fly_baseline", flown_or_lost)
     made = {}
     for cores in (1, 2):
-        monkeypatch.setattr(processes, "_cores", lambda most, cores=cores, **_: min(cores, most))
+        monkeypatch.setattr(processes, "cores", lambda most, cores=cores, **_: min(cores, most))
         made[cores] = run.run_scenario(
             load_scenario("scenarios/paper_wind.toml", SHORT),
             baselines=REFERENCES,
