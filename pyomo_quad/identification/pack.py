@@ -334,7 +334,7 @@ class Circuit:
         record : Record
             Measured powers.
         values : ndarray, shape (n,)
-            Logarithms of the fitted fields.
+            Logarithms of the parameters of the circuit that are fitted, such as resistances.
         factor : ndarray, shape (n_flights,)
             Factor on the resistance of each flight's pack.
 

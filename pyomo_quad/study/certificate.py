@@ -202,11 +202,12 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
     Returns
     -------
     plain : ndarray, shape (n, 3)
-        Weight 1, along each axis. Its integral follows from the momentum balance,
-        docs/theory/bound.md, eq. (2).
+        Weight of the first integral: 1 along each axis. The momentum balance gives the value of the
+        integral (docs/theory/bound.md, eq. (2)).
     lever : ndarray, shape (n, 3)
-        Weight k(t), along each axis, s. Its integral follows from the displacement, eqs. (3) and
-        (4).
+        Weight of the second integral along each axis, s: how far a unit of momentum, given to a
+        unit of mass at each time, carries the vehicle until the end of the flight. The displacement
+        from start to goal gives the value of the integral (eqs. (3) and (4)).
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0

@@ -359,12 +359,10 @@ class Places:
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Corners of polygons in the plane of the gradient [N]. Each polygon has n corners and
-            contains the gradients that are allowed in one wind. Each cell of the grid that a flight
-            may enter has four polygons, for four winds (attribute `corners`). These winds are the
-            corners of a rectangle that contains all winds of the cell. The gradient of the
-            potential in a cell must be inside all four polygons of the cell. The polygons are
-            ordered cell by cell.
+            Vertices of polygons in the plane of the gradient [N], n for each polygon. In each cell
+            of the grid that a flight may enter, the gradient of the potential must lie inside four
+            polygons. There is one polygon for each of the four winds in the attribute `corners` of
+            the cell. The polygons are ordered cell by cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))

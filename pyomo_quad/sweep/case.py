@@ -34,7 +34,7 @@ LARGEST_OUTPUT = 1e15
 
 
 class StudyTask(StrEnum):
-    """Task of a sweep for each case: plan its flight, or fly another plan in its scenario.
+    """Task of a sweep for each case: plan the flight of the case, or fly the plan of the base case.
 
     `OPTIMISE` plans the minimum-energy flight of each case. `FLY_PLAN` plans the base case only,
     and the controller tracks this plan under the changed conditions of each case.

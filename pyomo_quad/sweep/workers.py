@@ -101,8 +101,9 @@ class Workers:
         Returns
         -------
         list of CaseOutcome
-            Rows of all cases that have ended since the last call. A case has the status `LOST` if
-            its worker died twice, the second time while no other case ran.
+            Rows of all cases that have ended since the last call. A case whose worker process dies
+            is solved again while no other case runs. If its worker process dies again, the case has
+            the status `LOST`.
 
         Raises
         ------

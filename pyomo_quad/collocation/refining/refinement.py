@@ -563,8 +563,9 @@ class _MeshSolve(Search[S], Generic[S]):
         Expected change of the objective from the previous meshes to the next; None if the change is
         unknown.
     gap : float
-        Complementarity gap at which a solve with increased damping may stop, relative to the
-        objective. The gap is the error that Ipopt's barrier leaves in the objective.
+        Complementarity gap, relative to the objective, at which solves stop that repeat a failed
+        solve with increased damping. The gap is the error that Ipopt's barrier leaves in the
+        objective.
     """
 
     solve: Callable[..., S]

@@ -50,21 +50,21 @@ class RefinementOptions:
     damping : float
         Strength of the penalty on changes of the controls since the previous mesh. Only controls
         that enter linearly are penalised. If a control changes by its whole range, the penalty is
-        `damping` times the tolerance times the objective.
+        `damping` times the tolerance of the refinement times the objective.
     limits_move : bool
         Whether the caller expects many junctions: times at which a limit becomes active or
-        inactive. If there are many, most of them hardly affect the objective. If true, elements are
-        split at junctions only after all errors meet the tolerance. Each solve then reduces the
-        complementarity gap (the error that Ipopt's barrier leaves in the objective) only to a
-        fraction of the error on the previous mesh.
+        inactive. Most of many junctions hardly affect the objective. Elements are then split at
+        junctions only after all errors meet the tolerance of the refinement. Each solve then
+        reduces the complementarity gap (the error that Ipopt's barrier leaves in the objective)
+        only to a fraction of the error on the previous mesh.
     on_mesh : callable, optional
         Called after each finished mesh with the solution, which includes error estimate and
         history. If the function returns False, the refinement is interrupted. The result is then
         the solution on the most accurate mesh.
     known : Solution, optional
-        Converged solution for the same parameters, from which the refinement continues. If a warm
-        start is given and the first mesh is the mesh of this solution, the first mesh is not solved
-        again.
+        Converged solution for the same parameters. If it is also the warm start of the solve, and
+        its mesh is the first mesh, the refinement continues from it and does not solve on the first
+        mesh again.
     """
 
     first_elements: int = 10
