@@ -205,9 +205,9 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
         Weight of the first integral: 1 along each axis. The momentum balance gives the value of the
         integral (docs/theory/bound.md, eq. (2)).
     lever : ndarray, shape (n, 3)
-        Weight of the second integral along each axis, s: how far a unit of momentum, given to a
-        unit of mass at each time, carries the vehicle until the end of the flight. The displacement
-        from start to goal gives the value of the integral (eqs. (3) and (4)).
+        Weight of the second integral along each axis, s: the distance that a change of the velocity
+        at each time adds until the end of the flight, divided by this change. The displacement from
+        start to goal gives the value of the integral (eqs. (3) and (4)).
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
