@@ -37,7 +37,8 @@ def solve_side_by_side(
     """Carry out solves of a mission, as many at the same time as there are cores.
 
     Solves run in this process and in forked copies of it. The solutions do not depend on the number
-    of cores. If the user or a limit stops the solves, those in copies are given up.
+    of cores. A single solve, or solves within another call of this function, are carried out in
+    turn. If the user or a limit stops the solves, those in copies are given up.
 
     Parameters
     ----------
@@ -54,6 +55,8 @@ def solve_side_by_side(
     tuple of Solution
         Results in the order of `solves`, converged or not.
     """
+    if len(solves) < 2 or most_solves() < 2 or _SHARED:
+        return tuple(solve() for solve in solves)
     search, here = mission.search, os.getpid()
     spent_s = 0.0 if search is None else search.spent_s
 
@@ -72,10 +75,12 @@ def solve_side_by_side(
 
     _SHARED[:] = [mission.problem, mission.problem.compiled]
     is_stopped = None if search is None else search.is_stopped
-    with processes.side_by_side(
-        [partial(carry_out, s) for s in solves], is_stopped=is_stopped
-    ) as finish:
-        answers = finish()
+    tasks = [partial(carry_out, solve) for solve in solves]
+    try:
+        with processes.side_by_side(tasks, is_stopped=is_stopped) as finish:
+            answers = finish()
+    finally:
+        _SHARED.clear()
     found = []
     for answer in answers:
         sent = answer if isinstance(answer, _Sent) else _Sent(answer)
@@ -101,7 +106,7 @@ class _Sent(NamedTuple):
     work: int = 0
 
 
-# Compiled problem of the mission that is solved, which copies do not send back.
+# Compiled problem of the mission, which copies do not send back; empty when there are no copies.
 _SHARED: list[object] = []
 
 

@@ -87,13 +87,14 @@ class RouteFlights:
         solver = self._scenario.solver
         self._mesh = Mesh.uniform(max(solver.elements, _ROUTE_ELEMENTS), solver.degree)
         self._tolerance = solver.tolerance
-        told = self._scenario.mission
-        if has_corridors(self._scenario) and told.is_free and not told.waypoints:
+        self._has_corridors = has_corridors(self._scenario)
+        flight = self._scenario.mission
+        if self._has_corridors and flight.is_free and not flight.waypoints:
             self.paces = _PACES
-        if self._scenario.solver.accuracy is not Accuracy.PROOF:
+        if solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
             # Through a wind field, several optima pass the zones on the same sides.
-            self._is_pruned = not has_corridors(self._scenario)
+            self._is_pruned = not self._has_corridors
 
     def best(self, most: int | None = None) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along candidate journeys; return the best solution and all results.
@@ -137,10 +138,7 @@ class RouteFlights:
             Result of the solve along each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
-        dominant: list[_SidesTouched] = []
-        for journey, solution in self._each_flown(journeys, dominant):
-            if self._is_pruned and solution.status.is_solved:
-                dominant.append(sides_touched(self._scenario, journey, solution))
+        for journey, solution in self._each_flown(journeys):
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
         known = dict(enumerate(solution for _, solution in flown))
@@ -162,9 +160,7 @@ class RouteFlights:
             if k in known
         )
 
-    def _each_flown(
-        self, journeys: Sequence[Journey], dominant: list[_SidesTouched]
-    ) -> Iterator[tuple[Journey, Solution]]:
+    def _each_flown(self, journeys: Sequence[Journey]) -> Iterator[tuple[Journey, Solution]]:
         """Solve along the given journeys, one after the other or on several cores.
 
         A journey is left out if the solution along another journey is known to cost no more (see
@@ -176,22 +172,28 @@ class RouteFlights:
         ----------
         journeys : sequence of tuple of Route
             The journeys, each a route for each leg of the mission from one waypoint to the next.
-        dominant : list of _SidesTouched
-            Sides of the zones that each solution so far touches. The caller extends the list.
 
         Yields
         ------
         (tuple of Route, Solution)
             A journey and the solution along it.
         """
-        yield journeys[0], self.fly(journeys[0])
-        waiting, count = [*journeys[1:]], most_solves()
-        while waiting := [j for j in waiting if not any(_is_dominated(j, s) for s in dominant)]:
+        dominant: list[_SidesTouched] = []
+
+        def is_needed(journey: Journey) -> bool:
+            return not any(_is_dominated(journey, sides) for sides in dominant)
+
+        waiting, count, fly = [*journeys], 1, self.fly
+        while waiting := [journey for journey in waiting if is_needed(journey)]:
             together, waiting = waiting[:count], waiting[count:]
-            solves = [partial(self._fly_beside, journey) for journey in together]
-            for journey, solution in zip(together, self._side_by_side(solves), strict=True):
-                if not any(_is_dominated(journey, sides) for sides in dominant):
+            solves = [partial(fly, journey) for journey in together]
+            solved = solve_side_by_side(self._mission, solves)
+            for journey, solution in zip(together, solved, strict=True):
+                if is_needed(journey):
+                    if self._is_pruned and solution.status.is_solved:
+                        dominant.append(sides_touched(self._scenario, journey, solution))
                     yield journey, solution
+            count, fly = most_solves(), self._fly_beside
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
         """Solve again on a finer mesh along the cheapest journeys; return the best of them.
@@ -212,7 +214,7 @@ class RouteFlights:
         if len(near) < 2:
             return near
         solves = [partial(self.refine, known[k], _TO_THE_NEXT) for k in near]
-        improved = dict(zip(near, self._side_by_side(solves), strict=True))
+        improved = dict(zip(near, solve_side_by_side(self._mission, solves), strict=True))
         known |= {k: s for k, s in improved.items() if s.status.is_solved}
         for k in sorted(near, reverse=True):
             if any(_is_same(known[k], known[j]) for j in near if j < k):
@@ -237,8 +239,8 @@ class RouteFlights:
         its coarse solution. `near` has the numbers of the best journeys. If the refinement fails
         for all best journeys, further solutions are refined until one refinement succeeds.
         """
-        solved = self._side_by_side([partial(self.refine, known[k], None) for k in near])
-        refined = dict(zip(near, solved, strict=True))
+        solves = [partial(self.refine, known[k], None) for k in near]
+        refined = dict(zip(near, solve_side_by_side(self._mission, solves), strict=True))
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
         for k in others:
             statuses = [s.status for s in refined.values()]
@@ -275,7 +277,7 @@ class RouteFlights:
         """
         told = self._scenario
         journeys = find_journeys(told.airspace, told.mission.positions)[:most]
-        if has_corridors(told) and most is None:
+        if self._has_corridors and most is None:
             steady = self._mission.problems.steady_flight(told)
             return corridor_journeys(told, steady, journeys[0])
         if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
@@ -318,7 +320,8 @@ class RouteFlights:
         if self._known is not None:
             known, self._known = self._known, None
             return known
-        solved = self._side_by_side([partial(self._fly_at, journey, pace) for pace in self.paces])
+        solves = [partial(self._fly_at, journey, pace) for pace in self.paces]
+        solved = solve_side_by_side(self._mission, solves)
         return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
 
     def _fly_at(self, journey: Journey, pace: float) -> Solution:
@@ -336,7 +339,7 @@ class RouteFlights:
             [pace * time for time in told.nominal_times],
             is_open=told.mission.is_free,
             # A waypoint is usually passed without a stop.
-            is_even=len(journey) > 1 or has_corridors(told),
+            is_even=len(journey) > 1 or self._has_corridors,
         )
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
@@ -361,16 +364,6 @@ class RouteFlights:
         solution = self.fly(journey)
         self._is_plain = is_plain
         return solution
-
-    def _side_by_side(self, solves: Sequence[Callable[[], Solution]]) -> tuple[Solution, ...]:
-        """Carry out solves of the mission on all cores, and return their solutions in order.
-
-        Each of the `solves` is a function without arguments that returns a solution. On one core
-        they are called in turn.
-        """
-        if len(solves) < 2 or most_solves() < 2:
-            return tuple(solve() for solve in solves)
-        return solve_side_by_side(self._mission, solves)
 
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
         """Refine the mesh of a solution and solve again, with a limited number of meshes.

@@ -92,7 +92,7 @@ class Pack:
 
 
 def pack_of(text: str) -> Pack:
-    """Read a battery label such as "4S5000": 4 cells in series, capacity of the pack 5000 mAh.
+    """Read a battery label: "4S5000" means 4 cells in series and a capacity of 5000 mAh.
 
     The number of cells in parallel may follow: "6S2P9000" is a pack of 9000 mAh with 6 cells in
     series and 2 in parallel.

@@ -98,7 +98,7 @@ class Instance:
 
 
 class ModelValues:
-    """Reader and writer of a model's numbers, such as values of parameters and variables.
+    """Reader and writer of the numbers in a model, such as values of parameters and variables.
 
     Arrays and lists of numbers have the order in which the compiled equations expect the parameters
     and variables.

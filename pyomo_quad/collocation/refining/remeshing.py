@@ -100,7 +100,7 @@ class RefinementOptions:
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
-    def is_simulated(self) -> bool:
+    def is_checked(self) -> bool:
         """Whether a simulation of the controls will check the result.
 
         This is so if `allowance` has a tolerance for such a simulation.
@@ -395,7 +395,7 @@ def _finer(
     if degree == 2 and error.violation[e] == size and sizes[2] < _STRAIGHT * size:
         # Straight lines satisfy the limits that their ends satisfy.
         return _parts(mesh, e, 2, 1, size)
-    is_last = options.is_simulated and error.largest <= _LAST
+    is_last = options.is_checked and error.largest <= _LAST
     if options.limits_move and error.violation[e] == size:
         wanted = math.ceil((size / tolerance) ** (1.0 / _VIOLATION_ORDER))
         count = min(_MOST_PARTS_AT_LIMIT, max(2, wanted)) if is_last else _MOST_PARTS

@@ -7,8 +7,8 @@ import pytest
 import xarray as xr
 from scipy.optimize import minimize_scalar
 
+from pyomo_quad import processes
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.flight import route_flights
 from pyomo_quad.flight.corridors import Corridors, has_corridors
 from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.routes import Route
@@ -114,7 +114,7 @@ def test_places_without_a_way_between_them_have_no_corridor(tmp_path):
 
 def test_the_mission_is_solved_along_every_corridor(tmp_path, monkeypatch):
     """Corridors have no sides of zones; a solution along one says nothing about the others."""
-    monkeypatch.setattr(route_flights, "most_solves", lambda: 1)
+    monkeypatch.setattr(processes, "cores", lambda _most, **_: 1)
     told = mission_in(tmp_path, lambda _x, y: (0.01 * y, 0.0))
     corridors = [(Route(places=ENDS, sides=(), label=f"corridor {k}"),) for k in range(3)]
     solved = []

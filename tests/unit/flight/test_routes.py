@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
+from pyomo_quad import processes
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh
-from pyomo_quad.flight import route_flights
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import (
     RouteFlights,
@@ -319,7 +319,7 @@ def test_a_journey_goes_from_stop_to_stop_and_its_guess_is_there_in_time():
 
 def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once(monkeypatch):
     """The meshes differ, and the energies by rounding alone."""
-    monkeypatch.setattr(route_flights, "most_solves", lambda: 1)
+    monkeypatch.setattr(processes, "cores", lambda _most, **_: 1)
     journeys = find_journeys(airspace(MAST, floor=0.0, ceiling=9.0), [START, GOAL])
     heights = iter([1.0, 2.0])
     refined = []
@@ -327,6 +327,7 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once(monkeyp
     class Flights(RouteFlights):
         def __init__(self):
             """Need no mission."""
+            self._mission = None
 
         def fly(self, _journey):
             return solution_at(next(heights), 100.0, Mesh.uniform(4, 3))
