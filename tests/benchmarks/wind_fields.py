@@ -237,7 +237,8 @@ def draw(flights, folder=FOLDER):
     axes.set(
         xlabel="Wind toward, from x counter-clockwise (deg)", ylabel="Median energy flown (kJ)"
     )
-    axes.legend(frameon=False)
+    axes.set(xlim=(-10, 350), xticks=range(0, 360, 40))
+    figure.legend(loc="outside upper center", ncols=len(WAYS), frameon=False)
     figure.savefig(folder / FIGURE, metadata={"Date": None})
     plt.close(figure)
 
