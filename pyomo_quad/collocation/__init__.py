@@ -27,10 +27,12 @@ from pyomo_quad.collocation.mesh import (
     Timeline,
     Trajectory,
     control_polynomial,
+    controls_in_element,
     interpolate,
     interpolate_rates,
     real_array,
 )
+from pyomo_quad.collocation.open_loop import OpenLoopSteps
 from pyomo_quad.collocation.problem import Problem
 from pyomo_quad.collocation.program.ipopt import Iteration, Progress, SolverOptions, Status
 from pyomo_quad.collocation.pyomo_solver import PyomoSolver
@@ -65,6 +67,7 @@ __all__ = [
     "Law",
     "Mesh",
     "MeshRecord",
+    "OpenLoopSteps",
     "Problem",
     "Progress",
     "PyomoSolver",
@@ -87,6 +90,7 @@ __all__ = [
     "WarmStart",
     "compile",
     "control_polynomial",
+    "controls_in_element",
     "diagnose",
     "interpolate",
     "interpolate_rates",

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import operator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Protocol
+from weakref import WeakKeyDictionary
 
 import casadi
 import numpy as np
@@ -38,6 +40,9 @@ _NEWTON_TOLERANCE = 1e-13
 # Number of Newton steps where it is fixed, starting from zero. The first step may overshoot by a
 # factor of 2^12, as for the induced velocity of a hovering rotor; later steps halve the overshoot.
 _NEWTON_STEPS = 20
+# Compiled right-hand sides by problem and class, kept because they are the same for all parameter
+# values, and compiling one takes some 20 ms.
+_COMPILED: WeakKeyDictionary[Formulation, dict[type, Any]] = WeakKeyDictionary()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -112,7 +117,10 @@ class Dynamics:
         self.control_names = tuple(s.name for s in self.controls)
         self.timeline = formulation.timeline(self._statics, instance)
         self.start = float(self.timeline.times[0])
-        self._right_hand_side = self._compile(states)
+        kept = _COMPILED.setdefault(formulation, {})
+        if type(self) not in kept:
+            kept[type(self)] = self._compile(states)
+        self._right_hand_side = kept[type(self)]
         self._at_one = MappedFunction(self._right_hand_side, 1)
         self._signals = formulation.values.signals(instance)
         n_signals = len(declared.signals) + len(declared.scheduled)
@@ -179,8 +187,10 @@ class Dynamics:
         The 20 Newton steps are written out in CasADi's fast scalar expressions (SX). CasADi's own
         Newton iteration would cost ten times as much as the evaluation of all other equations.
         """
-        if self._right_hand_side.is_a("SXFunction"):
-            return self
+        return self if self._right_hand_side.is_a("SXFunction") else self._written_out
+
+    @cached_property
+    def _written_out(self) -> Dynamics:
         return _WithoutIterations(self._formulation, self._instance, self._statics)
 
     def control_limits(self, breach: float = 0.0) -> tuple[FloatArray, FloatArray]:
@@ -258,6 +268,16 @@ class Dynamics:
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
+
+    def moments(self, t: FloatArray) -> FloatArray:
+        """Return the time-dependent inputs of the compiled equations at n times.
+
+        `t` are physical times, shape (n,). The result has a row for each; see the method `moment`.
+        """
+        fractions = np.asarray(self.timeline.fraction(t))
+        if len(self._data) == 1 + len(self._instance.parameters):
+            return fractions[:, None]
+        return np.array([[f, *self._signals(f)] for f in fractions.tolist()])
 
     def symbol(self, name: str, size: int) -> Any:
         """Return a column of CasADi symbols, from which the right-hand side can be written.
@@ -1172,6 +1192,12 @@ class ClosedLoop:
     n_command, n_own : int
         Number of components of the command that the law follows, and number of states of the law.
 
+    Attributes
+    ----------
+    function : casadi.Function
+        (time-dependent inputs of the equations, joint state, command) -> (time derivative of the
+        joint state, controls). Implicit equations are solved by a fixed number of Newton steps.
+
     Raises
     ------
     TranscriptionError
@@ -1180,13 +1206,13 @@ class ClosedLoop:
     """
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:
-        self._dynamics = dynamics
+        self._dynamics = dynamics = dynamics.without_iterations()
         sizes = joint_sizes(dynamics, n_command, n_own)
-        self._function = self._compiled(law, sizes)
+        self.function = self._compiled(law, sizes)
         self._moment, self._joint, self._command = (np.zeros(size) for size in sizes)
         self._rates = np.zeros(sizes[1])
         controls = np.zeros(len(dynamics.control_names))
-        buffer, self._evaluate = self._function.buffer()
+        buffer, self._evaluate = self.function.buffer()
         for k, held in enumerate((self._moment, self._joint, self._command)):
             if held.size:
                 buffer.set_arg(k, held.data)
@@ -1259,13 +1285,13 @@ class ClosedLoop:
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         """
-        names = self._function.name_in()
-        jacobians = [f"jac:{self._function.name_out(0)}:{names[k]}" for k in (0, 1)]
-        written = self._function.factory("slopes", names, jacobians)
+        names = self.function.name_in()
+        jacobians = [f"jac:{self.function.name_out(0)}:{names[k]}" for k in (0, 1)]
+        written = self.function.factory("slopes", names, jacobians)
         symbols = written.mx_in()
         columns = [casadi.vec(casadi.densify(out)) for out in written.call(symbols)]
         mapped = MappedFunction(casadi.Function("slopes", symbols, columns), len(t))
-        moments = np.array([self._dynamics.moment(float(time)) for time in t])
+        moments = self._dynamics.moments(t)
         by_moment, by_joint = mapped(moments, joint, command)
         # CasADi keeps matrices by columns.
         shape = len(t), -1, joint.shape[1]
@@ -1290,5 +1316,5 @@ class ClosedLoop:
         -------
         ndarray, shape (n, n_controls)
         """
-        moments = np.array([self._dynamics.moment(float(time)) for time in t])
-        return MappedFunction(self._function, len(t))(moments, joint, command)[1]
+        moments = self._dynamics.moments(t)
+        return MappedFunction(self.function, len(t))(moments, joint, command)[1]

@@ -550,6 +550,36 @@ def control_polynomial(
     return lambda t: np.clip(polynomial(t), *limits)
 
 
+def controls_in_element(
+    mesh: Mesh,
+    values: FloatArray,
+    element: int,
+    fractions: FloatArray,
+    limits: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return the controls at fractions of one element: those of `control_polynomial`.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    values : ndarray, shape (n_points, k)
+        Values of k variables at the collocation points of the whole mesh.
+    element : int
+        Index of the element.
+    fractions : ndarray, shape (n,)
+        Fractions of the element, from 0 to 1.
+    limits : (ndarray, ndarray)
+        Lower and upper limits of the k variables, shape (k,) each.
+
+    Returns
+    -------
+    ndarray, shape (n, k)
+    """
+    points = radau_rule(mesh.degrees[element]).points
+    held = values[mesh.first_node[element] : mesh.first_node[element + 1]]
+    return np.clip(interpolation_matrix(points, fractions) @ held, *limits)
+
+
 # Highest degree of a mesh read from a file; nodes of a higher degree take long to compute.
 _HIGHEST_DEGREE = 100
 

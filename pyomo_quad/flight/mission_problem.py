@@ -339,7 +339,7 @@ class MissionProblem:
     def steady(self) -> SteadyFlight:
         """Calculator of steady flight (hover, cruise) of the vehicle in the wind of the mission."""
         flown = {name: self.arguments[name] for name in ("parameters", "horizon")}
-        return SteadyFlight(self.told, self.problem.dynamics(**flown))
+        return SteadyFlight(self.told, self.problem.dynamics(**flown).without_iterations())
 
     def hover_energy(self, solution: Solution) -> float:
         """Return the energy of hovering in still air for the duration of a solution [J].

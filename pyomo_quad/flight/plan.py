@@ -667,7 +667,7 @@ class Plan(Summarised):
                 f"{self.scenario.name}: this plan was loaded from a file and holds no equations; "
                 "solve the scenario again to fly it."
             )
-        return self.solution.dynamics
+        return self.solution.dynamics.without_iterations()
 
     def owed_energy(self, final: Mapping[str, float]) -> float:
         """Estimate the energy still needed by a flight that ends off the goal [J].

@@ -130,7 +130,8 @@ class Problems:
         if steady is None:
             problem, _ = self.problem_for(scenario)
             numbers = (self.parameters(scenario) or {}) | still_air(problem.model)
-            still = problem.dynamics(parameters=numbers, horizon=horizon_of(scenario))
+            horizon = horizon_of(scenario)
+            still = problem.dynamics(parameters=numbers, horizon=horizon).without_iterations()
             steady = self._steady.store(scenario, SteadyFlight(scenario, still, known))
         return steady
 
@@ -151,7 +152,8 @@ class Problems:
         if problem is None or not self._starts_alike(scenario):
             problem = self.problem_for(scenario)[0]
         numbers = without_reserve(self.parameters(scenario))
-        return problem.dynamics(parameters=numbers, horizon=horizon_of(scenario))
+        horizon = horizon_of(scenario)
+        return problem.dynamics(parameters=numbers, horizon=horizon).without_iterations()
 
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.

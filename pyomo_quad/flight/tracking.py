@@ -13,13 +13,15 @@ Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import count, pairwise
+from functools import partial
+from itertools import pairwise
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation import ClosedLoop, SolveError, control_polynomial, interpolate
+from pyomo_quad.collocation import ClosedLoop, OpenLoopSteps, controls_in_element, interpolate
+from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.displacement import displaced
 from pyomo_quad.flight.flight import (
     HELD_BREACH,
@@ -27,10 +29,9 @@ from pyomo_quad.flight.flight import (
     TILT_STATES,
     VELOCITY_STATES,
 )
-from pyomo_quad.flight.integration import discrete, integrate
+from pyomo_quad.flight.integration import discrete
 from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.state_shifts import shifted
-from pyomo_quad.flight.verification import rates_in_element
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +39,6 @@ if TYPE_CHECKING:
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics, Mesh
     from pyomo_quad.flight.displacement import Displacement
-    from pyomo_quad.flight.integration import Rates
     from pyomo_quad.flight.state_shifts import StateShift
 
 # Interval between corrections of the feedback [s]: a tenth of the time in which the vehicle changes
@@ -72,9 +72,8 @@ _SAME_S = 1e-9
 # goal.
 _CORRECTION, _AT_THE_END = 200.0, 50.0
 # Relative and absolute tolerance of the simulation; and the magnitude of a state, in its unit,
-# above which the vehicle is lost. So is one whose equations are evaluated more often in an element
-# than `_MOST_EVALUATIONS`, where some 100 evaluations suffice.
-_INTEGRATION, _LOST, _MOST_EVALUATIONS = 1e-10, 1e6, 5_000
+# above which the vehicle is lost.
+_INTEGRATION, _LOST = 1e-10, 1e6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -349,7 +348,7 @@ def _regulator(
     # The controls are declared as constant states of the control law, so that `slopes` also
     # differentiates with respect to them.
     loop = ClosedLoop(
-        dynamics.without_iterations(),
+        dynamics,
         lambda _command, _x, own: (own, [0.0 * u for u in own]),
         n_command=0,
         n_own=n_controls,
@@ -453,33 +452,6 @@ def _weight(name: str) -> float:
     return 1.0 / _DEVIATIONS[name] ** 2 if name in _DEVIATIONS else 0.0
 
 
-_REMEDY = "Ask for more solver.elements."
-
-
-def _limited(rates: Rates) -> Rates:
-    """Return a right-hand side that raises an error when it has been evaluated too often.
-
-    A vehicle that tumbles far from its path needs ever shorter integration steps. Without the
-    limit, its simulation would take minutes. A vehicle near its path stays far below the limit.
-
-    `rates` is the right-hand side of the equations of motion, without a limit. The returned
-    function has the same arguments and values as `rates`. It is used for one mesh element only.
-
-    Raises
-    ------
-    SolveError
-        From the returned function, after `_MOST_EVALUATIONS` evaluations.
-    """
-    evaluations = count()
-
-    def limited(t: float, y: FloatArray) -> FloatArray:
-        if next(evaluations) >= _MOST_EVALUATIONS:
-            raise SolveError(f"tracking: the vehicle is lost at {t:.4g} s. {_REMEDY}")
-        return rates(t, y)
-
-    return limited
-
-
 def _followed(
     dynamics: Dynamics, path: _Path, regulator: _Regulator, commands: FloatArray
 ) -> tuple[FloatArray, FloatArray] | None:
@@ -509,30 +481,39 @@ def _followed(
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)
-    flow = ClosedLoop(
-        dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
-    )
-    state = np.append(path.states[0], 0.0)
-    nodes = [state[:, None]]
+    steps = OpenLoopSteps(dynamics)
+    joint = np.append(path.states[0], 0.0)
+    nodes = [joint[None, :]]
     for e, (first, last) in enumerate(pairwise(path.borders.tolist())):
+        keep_time()
         own = slice(mesh.first_node[e], mesh.first_node[e + 1])
-        correction = commands[e] - regulator.gains[e] @ (state[:-1] - path.states[e])
+        correction = commands[e] - regulator.gains[e] @ (joint[:-1] - path.states[e])
         controls[own] = np.clip(controls[own] + correction, *limits)
-        polynomial = control_polynomial(mesh, controls, e, first, last, held)
-        flown = integrate(
-            _limited(rates_in_element(flow, polynomial, dynamics.just_after(first))),
-            (first, last),
-            state,
-            np.append(path.points[own][:-1], last),
-            dynamics.steps_between(first, last),
-            flight="tracking",
-            remedy=_REMEDY,
-            method="DOP853",
-            rtol=_INTEGRATION,
-            atol=_INTEGRATION,
+        element = e, (first, last)
+        flown = steps.carried(
+            joint,
+            np.array([first, *path.points[own][:-1], last]),
+            partial(_controls_at, mesh=mesh, controls=controls, element=element, limits=held),
+            _INTEGRATION,
         )
-        state = flown[:, -1]
-        nodes.append(flown)
-        if not np.all(np.abs(state[:-1]) < _LOST):
+        joint = flown[-1]
+        nodes.append(flown[1:])
+        if not np.all(np.abs(joint[:-1]) < _LOST):
             return None
-    return np.hstack(nodes).T, controls
+    return np.vstack(nodes), controls
+
+
+def _controls_at(
+    times: FloatArray,
+    mesh: Mesh,
+    controls: FloatArray,
+    element: tuple[int, tuple[float, float]],
+    limits: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return the controls at n times within a mesh element, shape (n, n_controls).
+
+    `times` are the times [s], and `element` is the element's index with its start and end [s]. For
+    `mesh`, `controls` and `limits` see `controls_in_element`.
+    """
+    index, (start, end) = element
+    return controls_in_element(mesh, controls, index, (times - start) / (end - start), limits)
