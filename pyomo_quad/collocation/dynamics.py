@@ -134,10 +134,11 @@ class Dynamics:
         """Return the CasADi function of the right-hand side.
 
         The function has four inputs: states; controls; static variables (variables without time);
-        and data (fraction of the horizon and parameters). It has two outputs. One is the column of
-        the rates of all states and of the algebraic variables that equations determine. The other
-        is the column of the objective's integrand and of the derivative of time with respect to the
-        fraction of the horizon. Rates and integrand are per unit of the fraction of the horizon.
+        and data (fraction of the horizon and parameters). It has two outputs, each a column. The
+        first has the rates of all states, then the values of the algebraic variables that equations
+        determine. The second has two numbers: the objective's integrand, and the derivative of time
+        with respect to the fraction of the horizon. Rates and integrand are per unit of the
+        fraction of the horizon.
 
         `states` are all states of the model, including states on which nothing depends.
         """
@@ -270,9 +271,9 @@ class Dynamics:
         return [fraction, *self._signals(fraction)]
 
     def moments(self, t: FloatArray) -> FloatArray:
-        """Return the time-dependent inputs of the compiled equations at n times.
+        """Return the time-dependent inputs of the compiled equations at n times, a row for each.
 
-        `t` are physical times, shape (n,). The result has a row for each; see the method `moment`.
+        `t` are the physical times, shape (n,). The method `moment` describes the inputs.
         """
         fractions = np.asarray(self.timeline.fraction(t))
         if len(self._data) == 1 + len(self._instance.parameters):

@@ -574,6 +574,14 @@ def controls_in_element(
     Returns
     -------
     ndarray, shape (n, k)
+
+    Examples
+    --------
+    >>> mesh = Mesh(breakpoints=(0.0, 0.5, 1.0), degrees=(2, 2))
+    >>> values, limits = mesh.node_fractions[1:, None], (np.array([0.0]), np.array([0.3]))
+    >>> controls_in_element(mesh, values, 0, np.array([0.5, 1.0]), limits).round(12)
+    array([[0.25],
+           [0.3 ]])
     """
     points = radau_rule(mesh.degrees[element]).points
     held = values[mesh.first_node[element] : mesh.first_node[element + 1]]

@@ -5,10 +5,11 @@ or under. A route is a path in a graph. The nodes of the graph are points round 
 way. Its edges are the straight lines between nodes that no zone blocks. Dijkstra's algorithm finds
 the shortest path, which is the shortest route of all.
 
-The other routes are then divided into sets [1]_, one for each zone. The routes of a set pass its
-zone on another side than the shortest route, and all earlier zones on the same side. The shortest
-route of each set is found by Dijkstra's algorithm too, and the set is divided again. The routes
-therefore follow in order of length.
+Further routes are found in order of length by Murty's method [1]_. The zones are numbered. All
+routes but the shortest are divided into sets, one set for each zone. The routes in the set of zone
+k pass zone k on another side than the shortest route. They pass zones 1 to k - 1 on the same sides
+as the shortest route. Dijkstra's algorithm finds the shortest route of each set. The shortest of
+these routes is the next result, and its set is divided in the same way.
 
 Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk. Each leg
 is flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0

@@ -173,11 +173,12 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
 
-    The efficiency f_r of motor and rotor is taken as a bare polynomial. A higher bound on the
-    absolute rotor acceleration then permits flights of less energy. At the returned bound
-    [rad/s²], the least energy of any flight equals the energy that Yacef et al. print for their
-    optimal flight. `study` holds the least energy for several bounds; the result is interpolated
-    between them.
+    At the returned bound [rad/s²], the least energy of any flight equals the energy that Yacef et
+    al. print for their optimal flight. `study` holds the least energy for several bounds on the
+    absolute rotor acceleration. The result is interpolated between these bounds.
+
+    The efficiency f_r of motor and rotor is a polynomial here, without the lower limits on torque
+    and efficiency that our model adds.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)

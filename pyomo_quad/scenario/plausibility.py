@@ -129,8 +129,8 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
 
     Each remark is a text for the user. There are at most two.
 
-    The remark on the motors concerns the product of torque constant and voltage constant. In SI
-    units the product is 1, because a motor conserves energy. The remark is made if the product
+    The remark on the motors concerns the product of torque constant [N m/A] and voltage constant
+    [rad/s/V]. The product is 1, because a motor conserves energy. The remark is made if the product
     differs from 1 noticeably, but by no more than rounding of the two constants explains.
 
     The remark on the rotors concerns their figure of merit: ideal power divided by shaft power in

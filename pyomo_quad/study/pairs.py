@@ -937,11 +937,11 @@ class _Program:
 
         The unknowns are the Lagrange multipliers of momentum, displacement and kinetic energy, and
         auxiliary variables. Their values are returned as an array of shape (n_unknowns,), from
-        which the method `prices` computes the multipliers on each leg. The program has constraints
-        only for the pairs of thrust and airspeed that are known so far. Its optimal value is
-        therefore, up to a tolerance, an upper bound on all lower bounds on the energy that any
-        multipliers can prove. The search for multipliers ends when the largest lower bound found is
-        close to the optimal value.
+        which the method `prices` computes the multipliers on each leg.
+
+        The program has constraints only for the pairs of thrust and airspeed that are known so far.
+        Up to a tolerance, no multipliers therefore prove a larger bound than the optimal value. The
+        search for multipliers ends when the largest bound found is close to the optimal value.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)

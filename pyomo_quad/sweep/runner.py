@@ -230,8 +230,8 @@ class Sweep:
         solved now. A child that has already ended is replaced by its own children.
 
         The solution of a parent is stored until all its children have ended. If the case that ended
-        was the last child of its parent, the parent's solution is deleted. A lost case does not
-        count as ended here, because a later run solves the case again.
+        was the last child of its parent, the parent's solution is deleted. A case whose worker
+        process died does not count as ended here, because a later run solves it again.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST

@@ -118,7 +118,7 @@ def flights(told, plan, count):
     """Fly many times in steps of the classical Runge-Kutta method, each with noise of its own."""
     mean = _MeanFlight(told, plan, PLANNER)
     dynamics, end = mean.dynamics, told.mission.fixed_duration
-    rates = MappedFunction(mean.loop._function, count)
+    rates = MappedFunction(mean.loop.function, count)
     (start, _), _ = mean.flown(np.array([0.0, end]))
     joint = np.tile(start, (count, 1))
     gusts = [Gusts([11, k]) for k in range(count)]

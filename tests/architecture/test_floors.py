@@ -41,6 +41,7 @@ ENGINE = {
     "guess": 3,
     "limits": 3,
     "dynamics": 3,
+    "open_loop": 3,
     "stepping": 3,
     "solution": 3,
     "refining": 4,
@@ -60,7 +61,8 @@ HOMES = {
     "casadi": {"collocation"},
     "cyipopt": {"collocation"},
     "pyomo": {"collocation", "model"},
-    "scipy.integrate": {"flight"},
+    # Simulated flights are integrated in `flight`; the engine takes the coefficients of a method.
+    "scipy.integrate": {"collocation", "flight"},
     "matplotlib": {"report", "identification", "paper", "polar", "sweep", "vehicles"},
     "mpl_toolkits": {"report"},
     "jinja2": {"report"},

@@ -465,7 +465,8 @@ class ModelSnapshot:
     signals, guesses : dict
         Parameters over time, and `initialize` rules of variables, by name as functions of time.
     schedules : tuple of Interpolant
-        Data for rules that branch on time, as functions of time.
+        For each rule that branches on time: the branch that applies and the numbers in it, as a
+        function of time.
     """
 
     times: tuple[float, ...]

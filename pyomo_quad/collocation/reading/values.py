@@ -264,8 +264,10 @@ class ModelValues:
 
         The range is the horizon of the solve, `horizon`. If any time is free (determined by the
         solve), it is instead the range of the continuous set, because a rule then refers to members
-        of this set. The widest range that was requested so far is recorded. A pickle of the model
-        stores functions of time over the widest range.
+        of this set.
+
+        As a side effect, the method records the widest range so far. When the model is pickled, its
+        rules are sampled over this range.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])

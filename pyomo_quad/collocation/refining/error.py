@@ -217,8 +217,9 @@ class ErrorEstimate:
     def of_integrals(self) -> float:
         """Largest error of the objective and of the integrals, over all elements.
 
-        Three kinds of error count: the effect of state errors on the objective, the cost of bounds
-        that are imposed between the collocation points, and the errors of the quadrature.
+        Three kinds of error count: the effect of state errors on the objective, the errors of the
+        quadrature, and an increase of the objective. The objective increases because bounds that
+        are imposed between the collocation points are stricter than the bounds of the problem.
         """
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
