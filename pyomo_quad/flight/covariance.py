@@ -224,7 +224,8 @@ class _MeanFlight:
         self._problem, self._numbers = problem, numbers
         self._horizon = 0.0, scenario.mission.fixed_duration
         self._unknowns = unknowns(planner, scenario)
-        self.dynamics = problem.dynamics(parameters=numbers, horizon=self._horizon)
+        dynamics = problem.dynamics(parameters=numbers, horizon=self._horizon)
+        self.dynamics = dynamics.without_iterations()
         self._reference = reference_path(scenario, Reference.PLAN, plan)
         self._controller = AdaptiveController(scenario, mixer_matrix(self.dynamics))
         self.loop = ClosedLoop(
@@ -336,6 +337,8 @@ class _MeanFlight:
             Time derivatives of the states.
         """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
-        other = self._problem.dynamics(parameters=self._numbers | changed, horizon=self._horizon)
+        numbers = self._numbers | changed
+        other = self._problem.dynamics(parameters=numbers, horizon=self._horizon)
+        other = other.without_iterations()
         rows = zip(t.tolist(), states, controls, strict=True)
         return np.array([other.rates(time, x, u) for time, x, u in rows])

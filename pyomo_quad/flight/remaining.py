@@ -299,7 +299,8 @@ class Replanner:
         #: Function of time [s]: mass of the payloads released before it [kg].
         self.released = scenario.release_schedule()
         self._numbers: Numbers = {**parameter_values(believed), **self._air}
-        self.dynamics = self._whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
+        whole = self._whole.dynamics(parameters=self._numbers, horizon=(0.0, self._end))
+        self.dynamics = whole.without_iterations()
         self._price = usual_price(scenario)
         gains = scenario.baseline.gains
         closing = gains.position * (gains.position + gains.velocity)
@@ -441,7 +442,7 @@ class Replanner:
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
-        path = path_of(plan, flow, with_mass(self._scenario, belief))
+        path = path_of(plan, flow.without_iterations(), with_mass(self._scenario, belief))
         return Course(plan=plan, path=path, belief=belief, estimate=estimate)
 
     def first_course(self, plan: Trajectories) -> Course:

@@ -45,9 +45,9 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     end = scenario.mission.fixed_duration
     numbers = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
     noise = Gusts.of(scenario).steps(end)
-    return problem_in_turbulence(scenario).dynamics(
-        parameters={**numbers, **noise}, horizon=(0.0, end)
-    )
+    problem = problem_in_turbulence(scenario)
+    dynamics = problem.dynamics(parameters={**numbers, **noise}, horizon=(0.0, end))
+    return dynamics.without_iterations()
 
 
 def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[Dynamics, Draws]:
@@ -86,7 +86,8 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
         return planner.dynamics(scenario), Draws(count=count)
     end = scenario.mission.fixed_duration
     given = without_reserve(parameter_values(scenario) | turbulence_values(scenario)) or {}
-    dynamics = problem_in_turbulence(scenario).dynamics(parameters=given, horizon=(0.0, end))
+    problem = problem_in_turbulence(scenario)
+    dynamics = problem.dynamics(parameters=given, horizon=(0.0, end)).without_iterations()
     errors = np.array(
         [
             np.random.default_rng((seed, k, _OF_ERRORS)).standard_normal(len(changes))
