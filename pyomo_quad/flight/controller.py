@@ -215,6 +215,11 @@ def mixer_matrix(dynamics: Dynamics) -> FloatArray:
     return np.array([dynamics.evaluate(row, times, X, U) for row in _MIXER_ROWS])
 
 
+# Square of the lowest commanded rotor speed, (1 rad/s)^2: at zero, the square root has no derivative,
+# and the closed loop could not be linearised.
+_SLOWEST_SQUARED = 1.0
+
+
 class Allocation:
     """Control allocation: rotor speeds for a commanded thrust and moments, within the limits.
 
@@ -271,7 +276,8 @@ class Allocation:
         squares = [change + equal for change in tilting]
         yaw = _clipped(yaw, *_steps_within(squares, self._yaw, low, high))
         turned = (square + share * yaw for square, share in zip(squares, self._yaw, strict=True))
-        return [np.sqrt(_clipped(square, low, high)) for square in turned]
+        slowest = max(low, _SLOWEST_SQUARED)
+        return [np.sqrt(_clipped(square, slowest, high)) for square in turned]
 
     def tilting_moment_at(self, thrust: float) -> tuple[float, float]:
         """Return the largest roll and pitch moments that the limits allow at a given thrust.

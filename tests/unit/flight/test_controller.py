@@ -2,12 +2,14 @@
 
 from math import atan2, cos, hypot, sin, sqrt
 
+import casadi
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from pyomo_quad.collocation.dynamics import Symbol
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.controller import (
     Allocation,
@@ -78,6 +80,19 @@ def test_declared_moment_limits_hold():
     tight = LIMITS.model_copy(update={"roll_moment_max": 0.01, "yaw_moment_max": 0.001})
     given_ = achieved(WEIGHT, (0.5, 0.0, -0.5), tight)
     assert given_[[1, 3]] == pytest.approx([0.01, -0.001], rel=1e-9)
+
+
+def test_a_command_that_stops_a_rotor_can_be_linearised():
+    thrust, moments = casadi.SX.sym("thrust"), casadi.SX.sym("moments", 3)
+    wanted = [Symbol(moment) for moment in casadi.vertsplit(moments)]
+    limits = LIMITS.model_copy(update={"rotor_speed_min": 0.0})
+    speeds = Allocation(MIXER, limits).rotor_speeds(Symbol(thrust), wanted)
+    column = casadi.vertcat(*(speed.expression for speed in speeds))
+    slopes = casadi.jacobian(column, casadi.vertcat(thrust, moments))
+    found = casadi.Function("slopes", [thrust, moments], [column, slopes])
+    stopped, by_command = found(0.0, [0.0, 10.0 * LIMITS.pitch_moment_max, 0.0])
+    assert min(stopped.full()) <= 1.0
+    assert np.all(np.isfinite(by_command.full()))
 
 
 def test_tilting_moment_at_hover_is_what_one_rotor_pair_has_left():
