@@ -215,8 +215,8 @@ def mixer_matrix(dynamics: Dynamics) -> FloatArray:
     return np.array([dynamics.evaluate(row, times, X, U) for row in _MIXER_ROWS])
 
 
-# Square of the lowest commanded rotor speed, (1 rad/s)^2: at zero, the square root has no derivative,
-# and the closed loop could not be linearised.
+# Square of the lowest commanded rotor speed, (1 rad/s)^2: at zero, the square root has no
+# derivative, and the closed loop could not be linearised.
 _SLOWEST_SQUARED = 1.0
 
 
