@@ -18,14 +18,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command. By default the function reads the arguments of the process, lets
-        signals such as Ctrl-C end the process, and calls `startup.own_process` to make the process
-        faster.
+        Arguments of the command; by default the arguments of the process.
 
     Returns
     -------
     int
         Exit status, a value of `ExitCode`.
+
+    Notes
+    -----
+    If no arguments are given, the function also changes settings of the process. Signals such as
+    Ctrl-C then end the process, and `startup.own_process` makes the process faster.
     """
     if arguments is None:
         end_on_signals()

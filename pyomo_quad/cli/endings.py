@@ -51,10 +51,13 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    A request starts a timer that ends the process after half a second. The command sets the
-    attribute `has_result` when it has a plan whose simulated flight arrives and keeps all limits. A
-    later request starts a timer of one minute, so that the command can write its report. A second
-    signal shortens this minute to half a second.
+    The first signal is the request to stop. It starts a timer that ends the process after half a
+    second.
+
+    The command sets the attribute `has_result` as soon as it has a plan whose simulated flight
+    arrives and keeps all limits. If `has_result` is set when the first signal arrives, the timer
+    lasts one minute, so that the command can write its report. A second signal shortens this minute
+    to half a second.
     """
 
     def __init__(self) -> None:
@@ -185,7 +188,10 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process; an earlier timer that ends the process sooner is kept.
+    """Set a timer that ends the process, if the process runs only the command.
+
+    In a process that also runs other code, such as tests, no timer is set. A running timer is kept
+    if it ends the process sooner than the new timer would.
 
     Parameters
     ----------
@@ -195,8 +201,7 @@ def _enforce(patience_s: float) -> bool:
     Returns
     -------
     bool
-        Whether the process runs only the command. No timer is set in a process that also runs other
-        code, such as tests.
+        Whether the process runs only the command.
     """
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]

@@ -256,8 +256,11 @@ def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
     The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    False if the scenario states no risk, or if the risk of the plan was not assessed. The result is
-    also False for a plan that a simulation does not confirm; such a plan must not be flown anyway.
+    False in three cases:
+
+    - the scenario states no risk;
+    - the risk of the plan was not assessed;
+    - no simulation confirms the plan. The status of the plan then reports the failure.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied

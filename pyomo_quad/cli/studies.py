@@ -377,10 +377,10 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    The measurements may not determine a parameter. The parameter then keeps its value before the
-    fit, and its line says so. The line also names a second parameter if the measurements cannot
-    tell the effects of the two apart. The line of a determined parameter says if the value lies at
-    the end of the permitted range.
+    If the measurements determine a parameter, its line says whether the value lies at the end of
+    the permitted range. If the measurements do not determine a parameter, the parameter keeps the
+    value that it had before the fit, and its line says so. The line also names the parameter with
+    the most similar effect on the power, if there is one.
 
     Parameters
     ----------

@@ -80,8 +80,8 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    A closed pipe causes such an error. If the result is True, the function has also redirected
-    standard output to the null device, which discards all further output.
+    A closed pipe causes such an error. After such an error, the function redirects standard output
+    to the null device. All further output is then discarded without another error.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False

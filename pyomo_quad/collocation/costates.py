@@ -92,12 +92,13 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix from values at an element's nodes to their residuals from a smooth fit.
+    """Return the matrix that removes a smooth polynomial from values at an element's nodes.
 
-    The nodes of an element of degree d are the left end and the d collocation points. The fit is
-    the least-squares polynomial of degree d - 2. The matrix has shape (d + 1, d + 1).
+    An element of degree d has d + 1 nodes: the left end and the d collocation points. A polynomial
+    of degree d - 2 is fitted to the values at the nodes by least squares. The matrix maps the
+    values to the residuals of this fit. It has shape (d + 1, d + 1).
 
-    Large residuals show that a multiplier does not vary smoothly over the element.
+    Large residuals show that the values do not vary smoothly over the element.
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -253,9 +254,10 @@ def costate_errors_of(
     - Integration. `costates.at_points` results from adjoint equations with `costates.stages` on the
       right-hand side. The adjoint equations are integrated again, with `costates.at_points` on the
       right-hand side. The error is twice the change of each costate.
-    - Jumps. A limit on a state that becomes active or inactive inside an element may cause a jump
-      of the costates at an unknown time. If the multiplier of the limit does not vary smoothly over
-      the element, the error is the multiplier's full effect on all costates in the element.
+    - Jumps. A limit on a state may become active or inactive inside an element. The costates may
+      then jump at an unknown time in the element. The multiplier of the limit changes the costates
+      over the element. If this change is not smooth, the error is the whole change. If the change
+      is smooth, the error is the small part of it that a smooth polynomial does not fit.
 
     Parameters
     ----------

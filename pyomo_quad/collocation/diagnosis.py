@@ -61,8 +61,8 @@ class SoftRows:
     limit : ndarray, shape (n,)
         Value of the limit.
     size : ndarray, shape (n,)
-        Reference magnitude. It is the magnitude of the limit, or the reciprocal of the scaling
-        factor of the limited constraint or unknown if the reciprocal is larger.
+        Reference magnitude: the larger of two numbers. The first is the magnitude of the limit. The
+        second is the reciprocal of the scaling factor of the limited constraint or unknown.
     names : tuple of str
         Names of the families.
     """
@@ -305,8 +305,9 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Sum of the relative relaxations of all components' limits: the least sum with which all
-        equations can be satisfied. Infinite if the computation did not converge.
+        Least sum of relative relaxations with which all equations can be satisfied. The sum has one
+        relaxation for each component of the model that declares limits. Infinite if the computation
+        did not converge.
     relaxations : tuple of Relaxation
         Relaxations of the components whose limits must all be relaxed to make the problem feasible.
         Empty if all limits can be satisfied.

@@ -263,9 +263,10 @@ class Dynamics:
         Returns
         -------
         list of float
-            The fraction of the horizon, then the time-dependent parameters, then a number for each
-            rule of the model that changes its form over the horizon. This number selects the form
-            at the time t.
+            The fraction of the horizon, then the time-dependent parameters, then the data that
+            Python evaluates at the time t. An example of these data is a number that tells which
+            branch a rule of the model takes at the time t. The attribute `Declarations.scheduled`
+            describes these data.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -939,10 +940,10 @@ def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int
     The unknowns of the equations are the rates (derivatives of the states) and the algebraic
     variables that equations determine.
 
-    The unknowns of the nonlinear part are those that enter nonlinearly. Its equations are those
-    that contain no other unknowns. Newton's method needs as many equations as unknowns. If their
-    numbers differ, the nonlinear part consists of all equations and all unknowns, and the rest is
-    empty.
+    The nonlinear part has the unknowns that enter any equation nonlinearly, and the equations that
+    contain only these unknowns. The rest has all other unknowns and equations. Newton's method
+    needs as many equations as unknowns. If the nonlinear part has more or fewer equations than
+    unknowns, all equations and all unknowns are put into it, and the rest is empty.
 
     Parameters
     ----------
@@ -993,9 +994,10 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """Symbolic number: a control law is called with symbols once, to compile the law.
+    """Symbolic number, the argument with which a control law is called to compile the law.
 
-    NumPy functions that the law applies to the symbol become CasADi expressions.
+    The control law is called once, with symbols instead of numbers. Arithmetic and NumPy functions
+    that the law applies to the symbols become CasADi expressions.
     """
 
     def __init__(self, expression: Any) -> None:

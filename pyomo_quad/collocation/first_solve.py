@@ -53,9 +53,10 @@ class FirstSolve(Search[S], Generic[S]):
         `start` is a guess or a warm start, `options` are settings of Ipopt, and `is_scaled` is
         whether Ipopt solves the scaled program.
     finish : callable
-        Function (solve, mesh, start) -> solution. The argument `solve` is a function that solves on
-        one mesh, such as the attribute `solve`. If the caller gave a tolerance, the function
-        refines `mesh` until the tolerance is met, and returns the solution on the last mesh.
+        Function (solver, mesh, start) -> solution. The argument `solver` is again a function,
+        (mesh, start) -> solution on that one mesh. If the caller gave a tolerance, `finish` refines
+        `mesh` until the tolerance is met, and returns the solution on the last mesh. Otherwise
+        `finish` solves once, on `mesh` itself.
     judge : callable
         Function (failed solution) -> the same solution with a message. The function minimises the
         constraint violation near the failed solution. The message names the equations that cannot

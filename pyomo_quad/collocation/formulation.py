@@ -144,11 +144,11 @@ class Evaluator:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the recipe by which `pickle` stores this evaluator, as Python's protocol requires.
 
-        CasADi expressions cannot be pickled one by one. The recipe therefore holds a single text
-        with the serialised expressions of all components of the model, and the symbols of their
-        inputs. If a component cannot be written as an expression, the recipe holds the reason. The
-        recipe contains neither the Pyomo model nor compiled functions. The restored evaluator
-        compiles the functions again at first use.
+        The recipe holds the expressions of all components of the model, and the symbols of the
+        evaluator's inputs. For a component that cannot be written as an expression, the recipe
+        holds the reason. CasADi expressions cannot be pickled. They are therefore serialised into
+        one text. The recipe contains neither the Pyomo model nor compiled functions. The restored
+        evaluator compiles the functions again at first use.
 
         Returns
         -------
@@ -716,9 +716,9 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     - the equations cannot be paired with different variables, each equation with a variable that it
       contains.
 
-    Controls count as unknowns, like all algebraic variables. An equation that contains states only
-    therefore raises the index, even if controls influence these states through other equations.
-    `declared` are the declarations of the model, with its equations.
+    `declared` are the declarations of the model, with its equations. Controls count as unknowns,
+    like all algebraic variables. An equation that contains states only raises the index. This holds
+    even if controls influence these states through other equations.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """

@@ -112,10 +112,14 @@ def first_point(
 ) -> FloatArray:
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
-    The function `initial_point` interpolates a point between known values. The states of this point
-    are then moved until they satisfy the equations that contain states alone. If a constraint or a
-    derivative is still NaN, the function `with_consistent_algebraics` adjusts the algebraic
-    variables. The equations then nearly hold at each collocation point.
+    The point is computed in three steps:
+
+    - The function `initial_point` interpolates a point between known values.
+    - The function `on_path_equalities` moves the states until they satisfy the equations that
+      contain states alone.
+    - If any constraint, or any derivative of a constraint or of the objective, is NaN at this
+      point, the function `with_consistent_algebraics` adjusts the algebraic variables. The
+      equations then nearly hold at each collocation point.
 
     Parameters
     ----------
@@ -322,10 +326,12 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An example of such an equation is a path that a vehicle must follow. These equations contain
-    neither rates nor controls, and have index 2. Their derivatives therefore give Ipopt little
-    information on the rates and controls that the path requires. The algebraic variables are
-    afterwards adjusted to the moved states.
+    An example of such an equation is a path that a vehicle must follow. Afterwards, the algebraic
+    variables are adjusted to the moved states.
+
+    Equations among states alone have index 2: they contain neither rates nor controls. The
+    derivatives of such equations give Ipopt little information on the rates and controls that the
+    path requires. For this reason, the states are moved before Ipopt starts.
 
     Parameters
     ----------
@@ -437,11 +443,11 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
     `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among all
     unknowns. A `number` inside the unknown's bounds is returned unchanged. If `number` is NaN or
-    lies outside the bounds, the result depends on how many of the two bounds are finite:
+    lies outside the bounds, the result depends on the two bounds:
 
-    - both: the middle of the lower and the upper bound;
-    - one: this bound;
-    - none (possible for NaN only): the upper bound, which is infinite.
+    - If both bounds are finite, the result is the middle between them.
+    - If one bound is finite, the result is this bound.
+    - If neither bound is finite, the result is infinity. This happens only if `number` is NaN.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

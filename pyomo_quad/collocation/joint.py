@@ -652,11 +652,11 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Set the static variables of the coupling that stand for values of one horizon.
+        """Write values of one horizon, which the coupling uses, into the unknowns `z`.
 
         The coupling consists of the objective and of the constraints on several horizons. The
-        coupling may contain a value of a horizon, for example the derivative of a state at the end
-        of the horizon. In the coupling, a static variable (a variable without time) stands for this
+        coupling may use a value of a horizon, for example the derivative of a state at the end of
+        the horizon. The joint program then has a static variable (a variable without time) for this
         value. This method computes the value from the unknowns of the horizon, and writes it to the
         static variable's entry in `z`.
 

@@ -557,7 +557,11 @@ def controls_in_element(
     fractions: FloatArray,
     limits: tuple[FloatArray, FloatArray],
 ) -> FloatArray:
-    """Return the controls at fractions of one element: those of `control_polynomial`.
+    """Return the controls at n points of one element.
+
+    The controls are values of the polynomials through the element's collocation points. Where a
+    polynomial exceeds a limit, the control is set to the limit. The function `control_polynomial`
+    returns the same controls as a function of time.
 
     Parameters
     ----------

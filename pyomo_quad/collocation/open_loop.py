@@ -1,8 +1,9 @@
 """Simulation of a vehicle in open loop by compiled Runge-Kutta steps, for many short flights.
 
 The steps have order 8, with the coefficients and the error estimate of SciPy's `DOP853`. SciPy
-calls Python for each of the twelve stages of a step; here, the stages form one CasADi function. The
-simulations of this module make plans. The plans are verified by SciPy itself.
+itself calls Python for each of the twelve stages of a step. Here, all stages form one CasADi
+function, which is faster. The simulations of this module are used to compute a plan. SciPy's own
+integrator is used to verify the finished plan.
 """
 
 from __future__ import annotations
@@ -102,10 +103,11 @@ class OpenLoopSteps:
         control: Callable[[FloatArray], FloatArray],
         tolerance: float,
     ) -> FloatArray:
-        """Return the joint state at the end of a time span, over which one step is too long.
+        """Return the joint state at the end of a time span that needs several steps.
 
         A step whose error is above the tolerance is halved. `joint` is the joint state at the start
-        of the span [s]. For `control`, `tolerance` and errors see the method `carried`.
+        of the span. `span` has the start and the end of the span [s]. The method `carried`
+        describes `control`, `tolerance` and the error that is raised.
         """
         start, ends = span[0], [span[1], 0.5 * (span[0] + span[1])]
         for _ in range(_MOST_STEPS):
@@ -125,10 +127,12 @@ class OpenLoopSteps:
     def _inputs(
         self, starts: FloatArray, ends: FloatArray, control: Callable[[FloatArray], FloatArray]
     ) -> Iterator[tuple[Any, ...]]:
-        """Return start, end [s] and inputs of n steps; see `_step` for the inputs after the state.
+        """Return, for each of n steps, its start [s], its end [s] and further data of the step.
 
-        `starts` and `ends` have the times of the steps, shape (n,). `control` returns the controls
-        at an array of times [s].
+        The further data are the inputs of the function that `_step` returns, except the joint
+        state: the time-dependent inputs of the equations, the controls, and the duration of the
+        step. `starts` and `ends` have the times of the steps [s], shape (n,). `control` returns the
+        controls at an array of times [s].
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C

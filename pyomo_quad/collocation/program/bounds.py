@@ -514,12 +514,15 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds without those of satisfied constraints that contain fixed unknowns only.
+    """Return bounds in which redundant constraints have infinite bounds.
 
-    Such constraints are redundant, and get infinite bounds in the result. An example is a path
-    equality at a point where all states in the equality are fixed. Its derivatives with respect to
-    all free unknowns are zero, so that the equations would appear linearly dependent. `bounds` are
-    the bounds of `program`, and `z` are the unknowns at which the constraints are evaluated.
+    A constraint is redundant here if it contains fixed unknowns only, and is satisfied. An example
+    is a path equality at a point where all states in the equality are fixed. The derivatives of
+    such an equality with respect to all free unknowns are zero. If the equality were not left out,
+    the equations would appear linearly dependent.
+
+    `bounds` are the bounds of `program`, and `z` are the unknowns at which the constraints are
+    evaluated.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper
