@@ -367,10 +367,11 @@ class DerivedFunctions:
 class TableArguments:
     """Arguments of the interpolation tables in a model, with functions for the arguments' values.
 
-    The values serve to check whether a solution evaluates a table outside the range of its data. A
-    `TableUse` is one argument of a table in one equation, as an expression, with the table's range.
-    A condition is a constraint at declared times (members of the continuous set), and a static
-    variable is a variable without time.
+    The values serve to check whether a solution evaluates a table outside the range of its data.
+
+    A `TableUse` is one argument of a table in one equation. It has the argument as an expression,
+    and the table's range. A condition is a constraint at declared times (members of the continuous
+    set). A static variable is a variable without time.
 
     Attributes
     ----------
@@ -460,7 +461,8 @@ class CompiledModel:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the model, with all its CasADi expressions serialised into one text.
 
-        In a single text, the symbols that several expressions share remain the same symbols.
+        Several expressions of the model contain the same symbols. Because all expressions are in
+        one text, they still share these symbols in the restored model.
         """
         parts = {item.name: getattr(self, item.name) for item in fields(self)}
         return _unpacked, (packed(parts),)
@@ -731,8 +733,9 @@ def _table_arguments(
     Returns
     -------
     TableArguments
-        Table arguments that contain any other variable are omitted, because their equations have
-        been left out of the nonlinear program.
+        The table arguments and their functions. A table argument is omitted if it contains a
+        variable that is neither in `path_variables` nor in `point_variables`. The equation of such
+        an argument has been left out of the nonlinear program.
     """
     parameters = _symbols(declared.parameters)
     made: list[Any] = []

@@ -1,12 +1,14 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-Slacks are unknowns that permit a violation. There are two kinds of elastic programs. One kind keeps
-the objective, and has slacks in the equations over time. The optimum of this program serves as
-the initial point of a solve, because the equations over time can be satisfied near this optimum.
+Slacks are unknowns that permit a violation. There are two kinds of elastic programs.
+
+One kind keeps the objective, and has slacks in the equations over time. Near the optimum of this
+program, the equations over time can be satisfied. The optimum therefore serves as the initial point
+of a solve.
 
 The other kind has slacks in every constraint, and minimises the sum of violations instead of the
-objective. If the least sum is positive, the constraints cannot all be satisfied near the optimum,
-with unknowns within their bounds. The problem is then reported as infeasible.
+objective. If the least sum is positive, no point near the optimum satisfies all constraints and all
+bounds of the unknowns. The problem is then reported as infeasible.
 """
 
 from __future__ import annotations
@@ -232,9 +234,9 @@ def least_violation(
     by a slack, measured in units of the constraint's scale. The penalty per unit of slack is the
     same for every constraint.
 
-    With equal penalties, Ipopt's barrier leaves about the same slack in each constraint that could
-    be satisfied. On every mesh, this slack is far below the threshold at which a constraint counts
-    as violated.
+    Ipopt's barrier leaves a small slack even in a constraint that can be satisfied. With equal
+    penalties, this small slack is about the same in all such constraints. On every mesh, it is far
+    below the threshold at which a constraint counts as violated.
 
     Parameters
     ----------

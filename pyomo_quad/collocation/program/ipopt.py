@@ -205,10 +205,11 @@ class SolverOptions:
         expected change. With a larger gap, the iterates would first move away from the warm start
         and then return. The initial barrier parameter is at most the usual one of warm starts.
 
-        Ipopt only reduces a barrier parameter that is above a multiple of the tolerance. If the
-        chosen initial value were below this multiple, the final gap would depend on the expected
-        change, and would differ from mesh to mesh. In that case, the solve begins with a barrier
-        parameter that depends on the tolerance alone.
+        Ipopt does not reduce a barrier parameter that is below a multiple of the tolerance. An
+        initial value below this multiple would therefore remain until the end of the solve. The
+        final gap would then depend on the expected change, and would differ from mesh to mesh.
+        Instead of such a small value, the initial barrier parameter is a value that depends on the
+        tolerance alone.
 
         A large change of the objective shifts the times at which bounds become active. From a start
         on the bounds, Ipopt would then take many short steps. If the expected change is large, the
@@ -410,9 +411,11 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    The best iterate is that with the least constraint violation, up to a factor of 10. Ipopt cannot
-    propagate an exception from a callback. The exception is therefore stored in `error`, and raised
-    again after Ipopt returns.
+    A later iterate replaces the best iterate only if the later iterate's constraint violation is at
+    most a tenth as large.
+
+    Ipopt cannot propagate an exception from a callback. The exception is therefore stored in
+    `error`, and raised again after Ipopt returns.
 
     Attributes
     ----------
@@ -429,8 +432,7 @@ class _Callbacks:
     history : list of Iteration
         Progress reports of all iterations so far.
     best : (float, ndarray)
-        Constraint violation and unknowns of the best iterate so far. A later iterate replaces the
-        best iterate only if the later iterate's violation is at most a tenth as large.
+        Constraint violation and unknowns of the best iterate so far.
     error : exception or None
         First exception that a callback raised.
     """
@@ -535,9 +537,11 @@ class _Callbacks:
     ) -> bool:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
-        Ipopt calls this method at each iteration. The best iterate is that with the least
-        constraint violation, up to a factor of 10. Ipopt stops after an exception in a callback, at
-        the request of the caller's callback, or if the problem appears to be unbounded.
+        Ipopt calls this method at each iteration. The new iterate replaces the best iterate if the
+        new iterate's constraint violation is at most a tenth as large.
+
+        Ipopt stops after an exception in a callback. It also stops if the caller's callback
+        returns False, or if the problem appears to be unbounded.
 
         Parameters
         ----------

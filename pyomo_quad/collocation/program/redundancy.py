@@ -6,8 +6,8 @@ quantity is conserved, an end condition on this quantity follows from the initia
 equations over time.
 
 On a mesh, the end condition follows only up to the discretisation error. A program that imposes the
-redundant end condition may therefore have no solution. The program may also have a unique solution
-with unbounded multipliers, although the problem without the condition has many solutions.
+redundant end condition may therefore have no solution. Or it may have a single solution, with
+unbounded multipliers, while the problem without the end condition has many solutions.
 """
 
 from __future__ import annotations

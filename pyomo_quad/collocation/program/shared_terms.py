@@ -9,9 +9,9 @@ The module therefore proceeds in three steps. First, symbols replace the calls i
 Then the expressions are differentiated, and equal terms are merged. Finally, the calls replace the
 symbols again.
 
-The symbols need no derivatives: a call returns the coefficients of a Taylor polynomial, and these
-coefficients count as constants in all derivatives. The module `collocation.reading.local_splines`
-creates these calls.
+The differentiation may treat the symbols as constants. The symbols stand for the results of calls.
+A call returns the coefficients of a Taylor polynomial, and these coefficients count as constants in
+all derivatives. The module `collocation.reading.local_splines` creates these calls.
 """
 
 from __future__ import annotations

@@ -321,10 +321,13 @@ class Contributions:
         By the chain rule, a second derivative with respect to variables i and j is multiplied by
         the outer product of the rows i and j of the matrix `variables`. The outer product has an
         entry for each pair of unknowns (a, b). Only the lower triangle of the Hessian with respect
-        to the unknowns is assembled. If i equals j, the outer product has equal entries for (a, b)
-        and (b, a), of which one is dropped. If i and j differ, the second derivative is given for
-        (i, j) but not for (j, i). The entries of the outer product for (a, b) and (b, a) are then
-        both added to the lower triangle, and an entry for (a, a) is doubled.
+        to the unknowns is assembled: it has one entry for (a, b) and (b, a) together.
+
+        - If i equals j, the outer product is symmetric. Its entry for (a, b) is added to the lower
+          triangle, and the equal entry for (b, a) is dropped.
+        - If i and j differ, the second derivative is given for (i, j) only. The outer product for
+          (j, i) would be the transpose, and is not formed. In its place, the entries for (a, b) and
+          (b, a) are both added to the lower triangle, and an entry for (a, a) is doubled.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -402,9 +405,9 @@ class JacobianScatter:
         For each integral that enters the objective directly: linear map from the sources to the
         gradient of the integral.
     slope_sources : ndarray of int
-        Positions of the derivatives of the objective with respect to integrals that enter it
-        directly. A position is counted among the sources of conditions and objective. Derivatives
-        that are always zero are omitted.
+        Positions of derivatives of the objective, counted among the sources of conditions and
+        objective. The derivatives are with respect to the integrals that enter the objective
+        directly. Derivatives that are always zero are omitted.
     slope_integrals : ndarray of int
         For each derivative in `slope_sources`, the position of its integral among all integrals
         that enter the objective directly.

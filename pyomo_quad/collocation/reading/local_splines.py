@@ -4,18 +4,22 @@ In each cell of its grid a spline is a polynomial. One call of a CasADi function
 coefficients of this polynomial, and returns its value, gradient and Hessian. The coefficients come
 from a table, which is computed once for all cells.
 
-Along some axes the table would become too large. Along these axes, the table holds the coefficients
-of the B-spline instead. The call then looks up the degree + 1 basis functions that are not zero in
-the cell, and evaluates them as polynomials. It multiplies each basis function by its B-spline
-coefficient. The look-up in a table is the evaluation of a CasADi B-spline of degree zero, which
-neither copies nor searches the table.
+With polynomial coefficients along all axes, the table may become too large. Along some axes, the
+table then holds the coefficients of the B-spline instead. A second table has the B-spline basis
+functions of such an axis, as polynomials in each cell. The call looks up the degree + 1 basis
+functions that are not zero in the cell, evaluates them, and multiplies each of them by its B-spline
+coefficient.
 
-CasADi never differentiates the call. The call is made at a point near the arguments: each argument
-is rounded to a multiple of 2**-38 (4e-12) of the smallest cell width. The rounded point counts as a
-constant. The CasADi expression of the spline is the Taylor polynomial of degree two around the
-rounded point. Value and slope of the Taylor polynomial are exact to rounding errors. Its second
-derivatives are constant. Their error is about 4e-12 of the change of the spline's second
-derivatives in a cell.
+A number is looked up in a table by the evaluation of a CasADi B-spline of degree zero. This
+evaluation neither copies nor searches the table.
+
+The call is made at a point near the arguments: each argument is rounded to a multiple of 2**-38
+(4e-12) of the smallest cell width. The rounded point counts as a constant, so that CasADi never
+differentiates the call. The CasADi expression of the spline is the Taylor polynomial of degree two
+around the rounded point.
+
+Value and slope of the Taylor polynomial are exact to rounding errors. Its second derivatives are
+constant. Their error is about 4e-12 of the change of the spline's second derivatives in a cell.
 
 CasADi's own cubic B-splines are slower, as CasADi differentiates each entry of gradient and Hessian
 separately. The Hessian of a spline with four axes took 80 microseconds. The method of this module
@@ -211,10 +215,11 @@ _Parts = dict[tuple[int, ...], Any]
 def _weights(count: int, cells: int, degree: int) -> Any:
     """Return a CasADi function for the factors by which a cell's coefficients are multiplied.
 
-    In each cell of its grid, a spline is a sum of (degree + 1)**count coefficients, each multiplied
-    by one factor per axis. The factor is a function of the coordinate along the axis: a power of
-    the local coordinate in the cell, or a B-spline basis function. Derivatives of the spline need
-    derivatives of the factors, which the function returns as well.
+    In each cell of its grid, a spline is a sum of (degree + 1)**count terms. A term is a
+    coefficient of the cell, multiplied by one factor for each axis. The factor is a function of the
+    coordinate along the axis: a power of the local coordinate in the cell, or a B-spline basis
+    function. The CasADi function also returns derivatives of the factors, which give the
+    derivatives of the spline.
 
     Parameters
     ----------
@@ -228,12 +233,17 @@ def _weights(count: int, cells: int, degree: int) -> Any:
     Returns
     -------
     casadi.Function
-        (point, one column per axis) -> one matrix per axis. A matrix has the shape (degree + 1, 3):
-        one row per factor, with its value, first and second derivative. The column of an axis
-        describes the cell that contains the point, in four parts: origin of the local coordinate;
-        reciprocal of the cell's width; index of the first basis function that is not zero in the
-        cell; coefficients of the basis functions as polynomials of the local coordinate. An axis
-        with powers uses only the first two parts.
+        (point, a column for each axis) -> a matrix for each axis. The matrix has the shape
+        (degree + 1, 3): one row per factor, with its value, first and second derivative.
+
+        The column of an axis describes the cell that contains the point. It has four parts:
+
+        - origin of the local coordinate;
+        - reciprocal of the cell's width;
+        - index of the first basis function that is not zero in the cell;
+        - coefficients of the basis functions, as polynomials of the local coordinate.
+
+        An axis with powers uses only the first two parts.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
@@ -248,30 +258,31 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
     """Sum the terms of a spline's value and derivatives along some axes.
 
-    In a grid cell, a spline is a sum of the cell's coefficients, each multiplied by one factor per
-    axis. The factor is a function of the coordinate along the axis: a power of the local coordinate
-    in the cell, or a B-spline basis function. This function multiplies by the factors of the given
-    axes, and sums the products over these axes.
+    In a grid cell, a spline is a sum of terms. A term is a coefficient of the cell, multiplied by
+    one factor for each axis. The factor is a function of the coordinate along the axis: a power of
+    the local coordinate in the cell, or a B-spline basis function. This function multiplies by the
+    factors of the given axes, and sums the products over these axes.
 
     Parameters
     ----------
     parts : dict
-        Value and derivatives of the spline, already summed over some of its last axes. A key is a
-        tuple with the order of the derivative along each summed axis, () if no axis is summed yet.
-        The value for a key is a CasADi column of partial sums. The column has one entry for each
-        combination of the coefficients along the other axes.
+        Partial sums for the value and for each derivative of the spline. Some of the last axes, or
+        none, are already summed. The key is a tuple that identifies the derivative: it has the
+        order of the derivative along each axis already summed, and is () if there is no such axis.
+        The value of the dictionary is a CasADi column, with one partial sum for each combination of
+        coefficients along the other axes.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
         its value, first and second derivative.
     axes : iterable of int
-        The axes to sum over, in rising order: the last axes that are not summed yet in `parts`.
+        The axes to sum over, in rising order: the last of the axes not yet summed in `parts`.
 
     Returns
     -------
     dict
-        Value and derivatives after the sums over `axes`, in the form of `parts`. A key starts with
-        the orders of the derivative along `axes`; the key of `parts` follows. The total order of a
-        derivative is at most 2.
+        The partial sums after the sums over `axes`, in the form of `parts`. A key has the orders of
+        the derivative along `axes` first, then the orders of the key of `parts`. The total order of
+        a derivative is at most 2.
     """
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
@@ -291,19 +302,21 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
     """Return a CasADi function that completes the sums for value, gradient and Hessian.
 
-    In a grid cell, a spline is a sum of the cell's coefficients, each multiplied by one factor per
-    axis. The factor is a power of the local coordinate in the cell, or a B-spline basis function. A
-    derivative of the spline is the same sum with derivatives of the factors.
+    In a grid cell, a spline is a sum of terms. A term is a coefficient of the cell, multiplied by
+    one factor for each axis. The factor is a power of the local coordinate in the cell, or a
+    B-spline basis function. A derivative of the spline is this sum with derivatives of the factors.
 
-    The returned function sums over the first two axes, or the only axis. Its caller sums over the
-    other axes before, with the function `_contracted`. The returned function consists of scalar
-    operations, which take less time for few numbers than products of matrices.
+    The sums are computed in two steps. First, the function `_contracted` sums over all axes except
+    the first two. Then the function that is returned here sums over the first two axes, or over the
+    only axis. It consists of scalar operations, which take less time for few numbers than products
+    of matrices.
 
     Parameters
     ----------
     given : sequence of tuple of int
-        One tuple for each sum over the other axes: orders of the derivative along these axes, () if
-        there are no other axes.
+        Keys of the result of the first step, one for each derivative. A key has the orders of the
+        derivative along the axes of the first step. The only key is () if the spline has no axis
+        for the first step.
     count : int
         Number of axes of the spline.
     degree : int
@@ -312,10 +325,10 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
     Returns
     -------
     casadi.Function
-        (sums over the other axes, matrices of factors) -> column of value, gradient and upper
-        triangle of the Hessian. The sums are one column. There is one matrix for each of the first
-        two axes, of shape (degree + 1, 3): one row per factor, with its value, first and second
-        derivative.
+        (sums of the first step, matrices of factors) -> column of value, gradient and upper
+        triangle of the Hessian. The sums of the first step are one column, in the order of `given`.
+        There is one matrix for each of the first two axes, of shape (degree + 1, 3): one row per
+        factor, with its value, first and second derivative.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left

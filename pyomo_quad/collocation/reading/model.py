@@ -312,8 +312,8 @@ class RelationReader:
         need not be imposed separately.
 
         If the rule of the constraint branches on time, differences in numbers are ignored. Such a
-        rule may return other numbers exactly at the declared time than just before or after it.
-        Numbers that hold for a single instant only have no effect.
+        rule may return one number exactly at the declared time, and another number just before or
+        after it. A number that holds at a single instant has no effect.
 
         Parameters
         ----------
@@ -629,9 +629,11 @@ class ModelReader:
 
         Each equation can determine one of its variables. A maximum bipartite matching assigns
         variables to different equations. The result has the names of all variables with an
-        equation. The variables are the given states and the derivatives in space. The
-        discretisation adds one equation for each derivative in space. With the derivatives in the
-        matching, the added equations are assigned to them, and not to states.
+        equation.
+
+        The variables in the matching are the given states and the derivatives in space. The
+        derivatives in space take part because the discretisation in space adds an equation for each
+        of them. The matching assigns these added equations to the derivatives, and not to states.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of its symbols.

@@ -124,10 +124,11 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions of time that return data of the compiled equations. A `Schedule` belongs to a rule
-        that branches on time. It returns which expression the rule yields at a time, and the
-        numbers in this expression. `Phases` returns which phase of the horizon contains the time.
-        The class `Declarations` lists the symbols of these data in its attribute `scheduled`.
+        Data of the compiled equations as functions of time. There are two kinds. A `Schedule`
+        belongs to a rule that branches on time: the data at a time tell which expression the rule
+        returns, and give the numbers in this expression. `Phases` belongs to the horizon: the data
+        at a time tell which phase contains the time. The attribute `scheduled` of the class
+        `Declarations` lists the symbols of these data.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -426,7 +427,8 @@ def _as_interpolant(
 ) -> Interpolant:
     """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
 
-    If the function fails or is too rough, the interpolant has no pieces and contains the reason.
+    The interpolant has no pieces if the function fails, or if too many polynomials are needed. It
+    then contains the reason.
 
     Parameters
     ----------

@@ -151,8 +151,8 @@ class Schedule:
         Declared times (members of the continuous set). The rule is called between them, and just
         before and just after each of them.
     place : callable, optional
-        Time -> time with which the rule is called instead. It serves for rules whose result is the
-        same over an interval.
+        Time -> time with which the rule is called instead. For a rule whose result is the same at
+        all times of an interval, `place` can return one time for the whole interval.
 
     Attributes
     ----------
@@ -298,17 +298,18 @@ class Schedule:
     def written(self, write: Callable[[Any, Iterator[Any]], Any], absent: Sequence[Any]) -> Any:
         """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
-        The parts are lower bound, body and upper bound of a constraint, or a single expression. The
-        rule returns one of a few forms, which differ in more than their numbers. Symbols in the
-        returned expressions select the form that applies, and replace the numbers that vary. These
-        symbols are the attribute `slots`; their values are data over time.
+        The parts are lower bound, body and upper bound of a constraint, or a single expression.
+        Results of the rule have the same form if they differ in their numbers only. The returned
+        expressions contain all forms, and two kinds of symbols. Symbols of one kind select the form
+        that applies. Symbols of the other kind stand for the numbers that vary. All these symbols
+        are in the attribute `slots`; their values are data over time.
 
         Parameters
         ----------
         write : callable
-            (part, numbers) -> CasADi expression of the Pyomo expression `part`. The iterator
-            `numbers` yields what to write for each number in `part`, in the order of appearance: a
-            symbol for a number that varies, and the number itself otherwise.
+            Translator of a part, which is a Pyomo expression: (part, numbers) -> CasADi expression.
+            The iterator `numbers` yields one item for each number in the part, in the order of
+            appearance. The item is a symbol if the number varies, and the number itself otherwise.
         absent : sequence
             For each part, the value to write where the rule returns None, for example minus
             infinity for an absent lower bound.
@@ -338,10 +339,11 @@ class Schedule:
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
         """Replace the bodies of forms without bounds by the body of a form with bounds.
 
-        Results of the rule have the same form if they differ in their numbers only. A form has no
-        bounds if the rule skips the constraint. The body of this form has no effect and can be
-        replaced. With equal bodies in all forms, a constraint on a single variable remains a bound
-        of that variable. Nothing is changed if the body of the form with bounds is not linear.
+        Results of the rule have the same form if they differ in their numbers only. If the rule
+        skips the constraint at some times, the form at these times has no bounds. The body of a
+        form without bounds has no effect, and can be replaced. If all forms have the same body, a
+        constraint on a single variable can become a bound of that variable. Nothing is changed if
+        the body of the form with bounds is not linear.
 
         `forms` has lower bound, body and upper bound of each form, as CasADi expressions. It is
         changed in place.
@@ -574,8 +576,8 @@ _COMPARED = np.array([-0.97, -0.61, -0.28, 0.13, 0.52, 0.83, 0.99])
 class Interpolant:
     """Approximation of functions of time by piecewise Chebyshev polynomials.
 
-    The approximation has no pieces if the functions fail or are too rough. The attribute `refusal`
-    then has the reason.
+    The approximation has no pieces if a function fails, or if too many pieces are needed. The
+    attribute `refusal` then has the reason.
 
     Attributes
     ----------
