@@ -309,10 +309,10 @@ class Solution(Outcome):
     def nominal_objective(self) -> float:
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
-        The result is the magnitude of the objective or, if larger, the size of the objective's
-        derivatives at the initial point. This size is the inverse of the objective's scaling
-        factor. The size is limited to 10 max(1, abs(objective)), because a penalty term in the
-        objective may make the derivatives far larger at the initial point than near the solution.
+        The result is the larger of two numbers: the magnitude of the objective, and the inverse of
+        the objective's scaling factor. The inverse is the size of the objective's derivatives at
+        the initial point. A penalty term in the objective may make the derivatives far larger there
+        than near the solution. The inverse is therefore limited to 10 max(1, abs(objective)).
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))

@@ -254,8 +254,8 @@ def _finished_of(finished: list[S], ended: S) -> S:
     ----------
     finished : list of Solution or JointSolution
         Converged solutions on the meshes of the refinement. A solve may leave out conditions
-        (constraints at single times), because they seem to follow from others. Solutions of such
-        solves are ignored.
+        (constraints at single times) that seem to follow from other equations. The solution of such
+        a solve is ignored here.
     ended : Solution or JointSolution
         Result with which the refinement ended.
 

@@ -171,7 +171,8 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
         (time-dependent inputs, joint state of vehicle and control law, command, varied parameters)
         -> time derivative of the joint state.
     dynamics : Dynamics
-        Right-hand side of the vehicle's equations; it only creates the symbols of the inputs.
+        Right-hand side of the vehicle's equations. Only its method `symbol` is used, to create the
+        symbols of the inputs; the equations themselves are in `flow`.
     sizes : (int, int, int)
         Numbers of time-dependent inputs, joint states and components of a command.
     n_varied : int

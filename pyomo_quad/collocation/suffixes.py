@@ -51,9 +51,11 @@ class Sensitivities:
         """Add the derivative with respect to a component over time, as a function of time.
 
         `name` is the name of the component, and `price` the function: time -> derivative of the
-        objective. If a function is stored for the component already, `price` is added to it. This
-        happens for a limit with a lower and an upper side: each side has its own function, and at
-        most one of the two is not zero at any time.
+        objective.
+
+        If a function is stored for the component already, the sum of this function and `price` is
+        stored. This happens for a limit with a lower and an upper side, because each side has its
+        own function. At any time, at least one of the two functions is zero.
         """
         held = self.over_time.get(name)
         if held is None:

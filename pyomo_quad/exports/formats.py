@@ -336,11 +336,12 @@ class _Writer:
     Attributes
     ----------
     write : callable
-        Function that writes a file: (motion, path, accuracy) -> (number of parts, name of the
-        parts, distance, heading). The accuracy is the value of the option `option`. A geodetic
-        format has the origin as fourth argument. The name of the parts is, for example,
-        "waypoints". Distance [m] and heading [rad] are the largest deviations from the plan; the
-        heading is None if the autopilot chooses it.
+        Function that writes a file. Its arguments are the motion, the path of the file, and the
+        accuracy (the value of the option `option`). For a geodetic format, the fourth argument is
+        the origin. The result has four items: the number of parts of the file; the name of the
+        parts, for example "waypoints"; the largest distance from the plan [m]; and the largest
+        deviation from the plan's heading [rad]. The last item is None if the autopilot chooses the
+        heading.
     ending : str
         Ending of the default file name.
     option : str

@@ -422,7 +422,14 @@ def _place_of(
 ) -> _Place | None:
     """Return the place to which a command makes the vehicle fly.
 
-    The result is None for a command that does not make the vehicle fly to a place.
+    The result is None for a command that does not make the vehicle fly to a place. For some
+    commands, other places of the mission determine the result:
+
+    - A return to the launch place leads to the first place.
+    - A landing leads to a place at the height of the first place, because the flight of the
+      scenario ends with hovering above the ground.
+    - A command without latitude and longitude takes both from the last place before it. If there is
+      no last place, it takes them from the home position.
 
     Parameters
     ----------
@@ -431,13 +438,9 @@ def _place_of(
     read : _File
         Content of the mission file.
     first : _Place or None
-        First place of the mission, None at the start of the mission. A return to the launch place
-        leads to the first place. A landing leads to a place at the height of the first place,
-        because the flight of the scenario ends with hovering above the ground.
+        First place of the mission; None at the start of the mission.
     last : _Place or None
-        Last place before this command, None at the start of the mission. A command without latitude
-        and longitude takes both from the last place. If there is no last place, it takes them from
-        the home position.
+        Last place before this command; None at the start of the mission.
     notes : Counter of str
         Contents of the file that a scenario cannot represent, to which the function adds.
     """

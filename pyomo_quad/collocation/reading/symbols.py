@@ -498,9 +498,10 @@ class Declarations:
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
         Symbols for quantities that depend on time but have no CasADi expression of time. Python
-        evaluates these quantities at each collocation point. They arise from rules that branch on
-        time or look up numbers by time. They also arise if free times divide the horizon into
-        phases.
+        evaluates these quantities at each collocation point. Some of them belong to a rule that
+        branches on time or looks up numbers by time: the branch that the rule takes, and the
+        numbers in the branch. Others tell in which phase of the horizon a time lies, if free times
+        divide the horizon into phases.
     clock : PhaseTimes
         Physical times in CasADi symbols: start and end of the horizon, and the free times. A free
         time is a time that the solve determines.

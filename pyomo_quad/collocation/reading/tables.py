@@ -101,11 +101,13 @@ class Spline:
     def _local(self) -> LocalSpline:
         """The same spline as a `LocalSpline`, which is fast to evaluate.
 
-        A `LocalSpline` moves the arguments to a nearby point, at a distance of at most 4e-12 of the
-        smallest grid step. It evaluates the Taylor polynomial of degree two about this point. The
-        error of the polynomial is negligible over so small a distance. Beyond the data the spline
-        is linear, and the polynomial is exact. The cost of an evaluation does not depend on the
-        number of data points.
+        The cost of an evaluation of a `LocalSpline` does not depend on the number of data points.
+
+        An evaluation has two steps. First, the value, gradient and Hessian of the spline are
+        computed at a rounded point: each argument is rounded by at most 4e-12 of the smallest grid
+        step. Then the Taylor polynomial of degree two about the rounded point gives the value at
+        the arguments themselves. The error of this polynomial is negligible, because the rounded
+        point is so near. Beyond the data the spline is linear, and the polynomial is exact.
         """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
@@ -127,11 +129,15 @@ def _extended_linearly(
 ) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    The first and the last data point are knots of multiplicity degree - 1. At these knots value and
-    slope are continuous, and the linear continuation is possible. The spline is determined by its
-    values at the Greville abscissae; each abscissa is the mean of `degree` successive knots. Inside
-    the range of the data, the values are taken from a spline that interpolates the data. Outside
-    the range, the values are taken from the tangent of this spline at the nearest data point.
+    The result is computed in two steps. First, a usual spline interpolates the data. Then the
+    resulting spline is computed from values at its Greville abscissae, one value for each
+    coefficient. A Greville abscissa is the mean of `degree` successive knots. If the abscissa is
+    inside the range of the data, the value is that of the usual spline. If it is outside, the value
+    is that of the tangent of the usual spline at the nearest data point.
+
+    In the resulting spline, the first and the last data point are knots of multiplicity degree - 1.
+    Only value and slope are continuous at these knots, so that the spline can change to a straight
+    line.
 
     Parameters
     ----------
@@ -392,8 +398,9 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     Raises
     ------
     TranscriptionError
-        If the function has too many arguments, an argument has no finite bounds, or the function
-        fails, is not finite or is too rough between the bounds.
+        If the function has too many arguments, or an argument has no finite bounds. Also if the
+        function fails or is not finite between the bounds, or if even the largest number of samples
+        does not give the required accuracy.
     """
     name = function.name
     if len(stated) not in _SAMPLES:

@@ -135,8 +135,9 @@ class ModelValues:
         overrides : mapping, optional
             Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon; by default the ends of the continuous set. Both are
-            parameters of the model, unless static variables take their place.
+            Start and end of the horizon; by default the ends of the continuous set. They are the
+            values of two parameters of the model. If a static variable determines the start or the
+            end, that parameter does not exist, and the value here has no effect.
 
         Raises
         ------
@@ -203,10 +204,12 @@ class ModelValues:
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
         """Return the time-dependent parameters as a function of the fraction of the horizon.
 
-        The function returns a list of numbers. First are the values of the parameters over time.
-        Then follow the values of other quantities without a CasADi expression of time. An example
-        is the numbers in the branch that a rule takes at the given time. `instance` holds the
-        horizon, and the parameter values that the caller gives.
+        The function returns a list of numbers, in the order that the compiled equations expect: the
+        values of the parameters over time, then the values of the symbols in
+        `Declarations.scheduled`. Such a symbol stands, for example, for a number in the expression
+        of a rule that branches on time.
+
+        `instance` holds the horizon, and the parameter values that the caller gives.
 
         Raises
         ------
@@ -262,9 +265,9 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        The range is the horizon of the solve, `horizon`. If any time is free (determined by the
-        solve), it is instead the range of the continuous set, because a rule then refers to members
-        of this set.
+        The range is normally the horizon of the solve, `horizon`. If any time is free (determined
+        by the solve), the range is that of the continuous set. The physical times are then unknown,
+        and a rule is called with times of the continuous set instead.
 
         As a side effect, the method records the widest range so far. When the model is pickled, its
         rules are sampled over this range.

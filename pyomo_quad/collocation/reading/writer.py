@@ -201,10 +201,11 @@ class ExpressionWriter:
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
         """Return the CasADi expression of a Pyomo operation applied to translated arguments.
 
-        `node` is the operation, and `arguments` are the CasADi expressions of its arguments. An
-        operation without a smooth counterpart in CasADi is an error. The message needs the name of
-        the component with the operation. This method does not set that name, in contrast to
-        `apply`.
+        `node` is the operation, and `arguments` are the CasADi expressions of its arguments.
+
+        An operation without a smooth counterpart in CasADi is an error. The message names the
+        component that contains the operation. The calling method must have stored this name in the
+        attribute `_owner`.
         """
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
@@ -391,13 +392,18 @@ class TemplateWriter:
         """Return the bounds for all times that a user assigned after a variable's declaration.
 
         `slot` is the variable. A user may assign bounds to the members of the variable at the
-        declared times (members of the continuous set). If the bounds were changed at every declared
-        time, the result depends on the kind of variable:
+        declared times (members of the continuous set). If the bounds are unchanged at one or more
+        declared times, the result is None. If they were changed at every declared time, there are
+        four cases:
 
-        - For an algebraic variable, or a state with a fixed member, equal bounds apply at all
-        times. Different bounds are an error.
-        - For any other state, different bounds apply at the declared times only. Equal bounds are
-        an error, because it is unclear whether they apply between the declared times.
+        - An algebraic variable, or a state with a fixed member, has the same bounds at all declared
+          times. These bounds apply at all times, and are the result.
+        - An algebraic variable, or a state with a fixed member, has different bounds at the
+          declared times. This is an error.
+        - Any other state has different bounds at the declared times. The bounds apply at the
+          declared times only, and the result is None.
+        - Any other state has the same bounds at all declared times. This is an error, because it is
+          unclear whether the bounds apply between the declared times.
 
         Returns
         -------
@@ -408,7 +414,7 @@ class TemplateWriter:
         Raises
         ------
         TranscriptionError
-            In the two cases of an error in the list above.
+            In the second and the fourth case.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -582,9 +588,11 @@ class TemplateWriter:
     def _within(self, time: float) -> float:
         """Return the midpoint between the declared times before and after a given time.
 
-        Declared times are the members of the continuous set. If times are free (determined by the
-        solve), the result of a rule may change at declared times only. The rule is then called with
-        the midpoint instead of `time`.
+        Declared times are the members of the continuous set. `time` is the given time.
+
+        This method serves models with free times (times that the solve determines). In such a
+        model, the result of a rule that branches on time may change at declared times only. The
+        rule is therefore called with the midpoint instead of `time`.
         """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)

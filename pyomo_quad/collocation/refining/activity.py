@@ -36,10 +36,11 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the indices of elements in or beside which only limits on algebraic variables change.
+    """Return the indices of elements at which limits on algebraic variables change, and no others.
 
-    A limit changes if it becomes active or inactive. An element is left out if a limit that
-    involves a state changes in or beside it, because the state's costate may jump there.
+    A limit changes at an element if it becomes active or inactive in the element or beside it. If a
+    limit that involves a state changes at an element, the costate of the state may jump there. Such
+    an element is left out.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
@@ -101,7 +102,7 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 
     A limit is active where its scaled multiplier is larger than its scaled slack (distance to the
     limit). At an interior-point solution, the product of multiplier and slack is the same small
-    number everywhere.
+    number for every limit. A large multiplier therefore means a small slack.
 
     The result has shape (n_points, n_limits). The limits are, in this order: lower bounds of states
     and algebraic variables, upper bounds of these variables, lower sides of path equations, and

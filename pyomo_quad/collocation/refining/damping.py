@@ -66,10 +66,14 @@ class Damping:
     def start_distance(self) -> StartDistance:
         """Expected distance between warm start and solution in the solve on the next mesh.
 
-        The warm start is the solution on the previous mesh. The distance is none if the objective
-        hardly changes from mesh to mesh any more (attribute `is_still`). Otherwise it is far if the
-        error of the previous solution is large, and short if the error is small. Ipopt's initial
-        barrier parameter is chosen according to this distance.
+        The warm start is the solution on the previous mesh. The result is one of three values:
+
+        - `StartDistance.NONE` if the objective hardly changes from mesh to mesh any more (attribute
+          `is_still`);
+        - otherwise `StartDistance.FAR` if the error of the previous solution is large;
+        - otherwise `StartDistance.SHORT`.
+
+        Ipopt's initial barrier parameter is chosen according to this distance.
         """
         if self.is_still:
             return StartDistance.NONE
@@ -82,9 +86,9 @@ class Damping:
         `is_still` is true.
 
         The new damping may also permit a larger complementarity gap at the end of the next solve.
-        The gap is the sum over all limits of multiplier times distance to the limit. The permitted
-        gap is the one of this damping, but at least `gap` times the nominal magnitude of the
-        objective.
+        The gap is the sum over all limits of multiplier times distance to the limit. The new
+        permitted gap is the larger of two numbers: the gap that this damping permits, and `gap`
+        times the nominal magnitude of the objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)

@@ -117,20 +117,23 @@ class Allowance:
     ----------
     control_breach : float
         Tolerable violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)). A larger violation is clipped, and the effect of clipping on states and
-        objective counts as error. A smaller violation is not clipped, and its effect on the states
-        counts as error.
+        abs(bound)). If a violation is larger, the control is clipped, and the effect of clipping on
+        states and objective counts as error. If it is smaller, the control is not clipped, and the
+        effect of the violation on the states counts as error.
     limit_breach : float
-        Largest tolerable violation of any other limit, relative to max(1, abs(limit)). A larger
-        violation counts as error itself. A smaller violation counts by its effect on the objective.
+        Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If a
+        violation is larger, the violation itself counts as error. If it is smaller, its effect on
+        the objective counts as error.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
-        Tolerance on the error of the states between the points, relative to their magnitudes; by
-        default the tolerance of the refinement. A larger value suffices if a simulation corrects
-        the controls by feedback, because the error then changes the objective only to second order.
-        If the value is larger, the tolerance on the residuals of algebraic equations is ten times
-        the value, because the simulation solves these equations.
+        Tolerance on the error of the states between the points, relative to their magnitudes. By
+        default it is the tolerance of the refinement.
+
+        A larger value suffices if a later simulation corrects the controls by feedback. The error
+        of the states then changes the objective only to second order. With a larger value,
+        residuals of algebraic equations are tolerated up to ten times the value, because the
+        simulation solves these equations.
     """
 
     control_breach: float = np.inf
@@ -165,9 +168,9 @@ class ErrorEstimate:
         relative to the objective's own magnitude. Zero unless all other errors are below the
         tolerance.
     costs : ndarray, shape (n_elements,)
-        Change of the objective by the state errors, as in `objective`, but relative to the
-        objective's own magnitude. It is doubled to allow for the unknown error of the controls.
-        Zero unless all other errors are below the tolerance.
+        The values of the attribute `objective`, converted to be relative to the objective's own
+        magnitude, and doubled. The factor of two allows for the unknown error of the controls. Zero
+        unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
         Cost of the bounds that are imposed between the collocation points. Extrapolated, and
         relative to the nominal magnitude of the objective. The cost may use up only half of the
@@ -415,14 +418,16 @@ def _panelled_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the state errors if algebraic variables between the points follow their polynomials.
+    """Return the state errors, with algebraic variables taken from their polynomials.
 
     An equation may define an algebraic variable. For example, ``f = r + r^3`` defines r if ``x' =
-    r`` is the differential equation. Between the collocation points the variable then has two
-    values: the value of its polynomial, and the value from the equation. `estimate_error` takes the
-    value from the equation. Its estimate may be small although the polynomial is inaccurate. This
-    function takes the value of the polynomial. Its result therefore also shows the inaccuracy of
-    the polynomial.
+    r`` is the differential equation. Between the collocation points, such a variable has two
+    different values: the value that solves the equation, and the value of the variable's
+    polynomial.
+
+    `estimate_error` takes the value that solves the equation. Its estimate may be small although
+    the polynomial is inaccurate. This function takes the value of the polynomial. Its result
+    therefore also shows the inaccuracy of the polynomial.
 
     Returns
     -------
@@ -525,8 +530,8 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
     solution : Solution
         Solution whose mesh has the elements.
     slopes : ndarray, shape (sum of (degree + 1) over the elements, n_states)
-        Errors of the rates, at the Radau points of the next higher degree in each element. With
-        these changes, the rates satisfy the differential equations.
+        Errors of the rates, at the Radau points of the next higher degree in each element. If these
+        errors are added to the rates, the rates satisfy the differential equations.
 
     Returns
     -------
@@ -547,10 +552,13 @@ def _clipping_corrections(
 ) -> dict[int, FloatArray]:
     """Return, by element, the change of the states if controls are clipped to their limits.
 
-    A control of the solution may exceed its limits between the collocation points, where a
-    simulation sets it to the limit. Clipping changes the rates. The change of the rates is
-    integrated over the dense samples by the trapezoidal rule, because a clipped control is no
-    polynomial. This rule overestimates a peak at an element's end.
+    A control of the solution may exceed its limits between the collocation points. A simulation
+    clips the control there: it sets the control to the limit. Clipping changes the rates. The
+    change of the rates is integrated over the element, which gives the change of the states.
+
+    The integral is computed over the dense samples by the trapezoidal rule, because a clipped
+    control is no polynomial. If the change of the rates has a peak at an element's end, the
+    trapezoidal rule overestimates the integral.
 
     Parameters
     ----------
@@ -709,7 +717,7 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
         element's end.
     weight : float
         Factor on the result: the tolerance divided by the allowed error of the final states. It is
-        0 if any error is allowed.
+        0 if the allowed error is infinite.
 
     Returns
     -------
@@ -747,8 +755,9 @@ def _breaches(
         Tolerances: `control_breach` for limits on controls alone, `limit_breach` for all other
         limits.
     weight : float
-        1 unless `allowance` sets a tolerance on the states. A large tolerance on the states gives a
-        small weight, so that large residuals are allowed too.
+        Factor on the relative residuals of equations. It is 1 if `allowance` has no tolerance on
+        the states. Otherwise, the larger this tolerance is, the smaller is the factor, and the
+        larger are the residuals that are allowed.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

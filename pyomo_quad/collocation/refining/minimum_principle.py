@@ -147,8 +147,9 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     collocation points, for several values between the bounds of the control. A control is included
     if any result is negative.
 
-    An equation may contain a state's rate (time derivative) times a function of a control. The
-    second derivative then shows nothing, and the control is always included.
+    The second derivative is computed with the rates (time derivatives of the states) unchanged. It
+    therefore gives no information if an equation contains a rate times a function of the control.
+    Such a control is always included.
 
     Parameters
     ----------
@@ -245,18 +246,21 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The estimate is the largest of the following numbers. The last three count only if `before` is
-    given, because the mesh then restricts the times at which limits become active or inactive.
+    The estimate is the largest of the following numbers:
 
     - The largest estimated error of the solution.
-    - Twice the sum over all elements of the errors of a state. The factor of two allows for the
-    unknown error of the controls.
-    - On a singular arc: the error of the states that a small error of the objective allows, because
-    the objective is flat about its optimum. It is proportional to a root of the largest relative
-    error, or of `change` if `change` is larger.
+    - The errors of a state, added over all elements and doubled. The factor of two allows for the
+      unknown error of the controls.
+    - With a singular arc: a multiple of a root of the largest relative error, or of `change` if
+      `change` is larger. The objective is flat about its optimum on a singular arc. A small error
+      of the objective therefore permits this larger error of the states.
+
+    Three more numbers count if `before` is given. Limits then become active or inactive inside
+    elements, and the mesh restricts the times at which they do so.
+
     - The violation of limits.
-    - The change of the states if a control jumps at another time within a narrow element. Narrow
-    elements have a single collocation point; the refinement cuts them around jumps.
+    - The change of the states if a control jumps at another time within a narrow element. A narrow
+      element has a single collocation point, and the refinement has cut it around a jump.
     - Without a singular arc: the change of the states since the previous mesh.
 
     Parameters
@@ -302,14 +306,16 @@ def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc of a solution: 0 (no singular arc), 1, or 2 (2 or higher).
 
     On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
-    control. The states are held for this curvature. Rates (derivatives of the states) and other
-    algebraic variables change with the control as the equations require. The arc is of order 1 if
-    the Hamiltonian has curvature in the direction in which the control drives the states (Robbins
-    1967; Kelley, Kopp and Moyer 1967).
+    control. This curvature is a second derivative with the states unchanged. Rates (derivatives of
+    the states) and other algebraic variables change with the control as the equations require. The
+    arc is of order 1 if the Hamiltonian has curvature in the direction in which the control drives
+    the states (Robbins 1967; Kelley, Kopp and Moyer 1967).
 
-    Two kinds of collocation points are not examined. At some points a bound of a state or a path
-    inequality is active, which determines the control. Other points are alone in their element; the
-    refinement cuts such elements around jumps of controls.
+    Two kinds of collocation points are not examined:
+
+    - points at which a path inequality or a bound of a state is active, and determines the control;
+    - points of elements with a single collocation point, because the refinement cuts such elements
+      around jumps of controls.
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics

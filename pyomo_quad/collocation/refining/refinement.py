@@ -353,10 +353,11 @@ class _Refinement(Generic[S]):
         the present meshes. If the gap is its largest error, the solve is continued until the gap is
         smaller. The result is then the new solution.
 
-        A solve with damping may leave a gap on purpose, which solves on later meshes reduce. A gap
-        left on purpose is reduced on the present mesh only if all other errors meet the tolerance.
-
         The errors in the result have one item for each horizon.
+
+        A solve with damping may stop at a large gap on purpose; later solves on finer meshes reduce
+        the gap. Such a gap is reduced on the present mesh only if all other errors meet the
+        tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -504,13 +505,13 @@ class _Refinement(Generic[S]):
         """Return the relative complementarity gap at which the next solve may stop.
 
         The complementarity gap is the amount by which Ipopt's barrier changes the objective, here
-        divided by the objective. The result is 0.3 times the relative error of objective and
-        integrals, but at least 0.2 times the tolerance and at most 1e-3. If bounds are imposed
-        between the collocation points, the relative change of the objective since the previous mesh
-        is also considered. The larger of error and change then takes the place of the error.
+        divided by the objective. The result is 0.3 times an error, but at least 0.2 times the
+        tolerance and at most 1e-3. The error is the estimated relative error of objective and
+        integrals. If bounds are imposed between the collocation points, the error is at least the
+        relative change of the objective since the previous mesh.
 
-        A smaller gap is not useful while the times at which limits become active change from mesh
-        to mesh.
+        A smaller gap is not useful while the times at which limits become active still change from
+        mesh to mesh.
 
         `solution` is the solution on the present meshes. `errors` has its estimated errors, one
         item for each horizon.
@@ -563,9 +564,9 @@ class _MeshSolve(Search[S], Generic[S]):
         Expected change of the objective from the previous meshes to the next; None if the change is
         unknown.
     gap : float
-        Complementarity gap, relative to the objective, at which solves stop that repeat a failed
-        solve with increased damping. The gap is the error that Ipopt's barrier leaves in the
-        objective.
+        Complementarity gap that is permitted at the end of a solve with increased damping, relative
+        to the objective. The gap is the error that Ipopt's barrier leaves in the objective. Damping
+        is increased if an earlier strategy has failed.
     """
 
     solve: Callable[..., S]
@@ -689,12 +690,13 @@ class _Reached(Generic[S]):
         The kept solution, found before the restart.
     shown : float, optional
         Lower bound on the improvement of the objective by the restart, relative to the nominal
-        magnitude of the objective. Each solution after the restart gives a lower bound: its
-        improvement on the kept solution minus its estimated error, both relative. `shown` is the
-        largest of these lower bounds. It is None before the first solution after the restart.
+        magnitude of the objective. Each solution after the restart gives one lower bound: its
+        relative improvement of the objective over the kept solution, minus its estimated relative
+        error. `shown` is the largest of these lower bounds, or None if there is no solution after
+        the restart yet.
     earned : float
-        Relative improvement of the objective by the previous restart, from the solution kept then
-        to the solution kept now. It is 0 if there was no previous restart.
+        Relative improvement of the objective by the restart before this one: from the solution that
+        was kept at that earlier restart to `solution`. It is 0 if this restart is the first.
     """
 
     solution: S
@@ -738,10 +740,12 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
     """Return the result of a refinement that ended without meeting its tolerance.
 
     Without a restart, the result is the last solution. After a restart, the result is the solution
-    from before the restart. Its status and message are changed to state that better controls exist,
-    if the restart found a better solution or no solution at all. A better solution improves the
-    objective by more than the tolerance, after its estimated error is subtracted from the
-    improvement.
+    from before the restart. Its status and message are changed in two cases, to state that better
+    controls exist:
+
+    - No solution has been found after the restart.
+    - A better solution has been found after the restart. A solution is better if its relative
+      improvement of the objective, minus its estimated error, exceeds the tolerance.
 
     Parameters
     ----------
@@ -765,8 +769,9 @@ def _cut_off(reached: _Reached[S]) -> S:
     A restart begins the refinement again from better controls. The refinement has to stop if, for
     example, the allowed number of meshes is used up before the tolerance is met again. The result
     is the solution in `reached`, which met the tolerance before the restart. Its status and message
-    are changed to state that better controls exist. Its estimated error is raised to the relative
-    improvement that an earlier restart brought, if this improvement is larger.
+    are changed to state that better controls exist. Its estimated error becomes the larger of two
+    numbers: its present value, and the relative improvement by an earlier restart
+    (`reached.earned`).
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))

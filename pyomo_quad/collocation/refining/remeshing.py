@@ -89,10 +89,12 @@ class RefinementOptions:
         between the points as well, up to this violation. If the value is infinite, bounds are
         imposed at the points only.
 
-        The value is finite if `limits_move` is true and `allowance` tolerates violations both of
-        control bounds and of other limits. There is one exception: with a tolerance on the error of
-        the states in `allowance`, the value is infinite. A later simulation then corrects the
-        controls by feedback, and shows violations between the points.
+        The value is finite if three conditions hold:
+
+        - `limits_move` is true.
+        - `allowance` tolerates violations both of control bounds and of other limits.
+        - `allowance` has no tolerance on the error of the states. With such a tolerance, a later
+          simulation corrects the controls by feedback, and shows violations between the points.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -313,9 +315,9 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     sliver. If the jump is near an end of the split element, the sliver extends to that end, and the
     result is two elements.
 
-    The control is constant in the sliver. If the control satisfies its limits at the collocation
-    point, it satisfies them in the whole sliver. The error of the states decreases with the square
-    of the sliver's width.
+    A sliver has two advantages. The control is constant in the sliver, so that it satisfies its
+    limits in the whole sliver if it satisfies them at the collocation point. The error of the
+    states in the sliver decreases with the square of its width.
 
     If a neighbour of the element has degree 1, the neighbour is a sliver from an earlier mesh that
     has not enclosed the whole jump. The element is then split into three equally wide elements
@@ -361,8 +363,9 @@ def _finer(
     - The largest error of the element is due to a control switch.
     - The largest error is due to bounds imposed between the collocation points.
     - The largest error is the violation of a limit between the points, and the states are nearly
-      straight lines or `options.limits_move` is true (many limits are expected to become active or
-      inactive).
+      straight lines.
+    - The largest error is the violation of a limit between the points, and `options.limits_move` is
+      true (many limits are expected to become active or inactive).
     - All errors meet the tolerance, but a limit becomes active or inactive in the element.
 
     In all other cases, the degree of the element is raised if the solution is smooth in the element

@@ -30,19 +30,24 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Hamiltonian does not jump (Weierstrass and Erdmann).
 
     A mesh determines the element in which the control switches, but not the time of the switch
-    within the element. The polynomials of the element may put the switch anywhere in its width w.
-    So may the single collocation point of a sliver (a narrow element cut around a switch). The
+    within the element. The time may be wrong by up to the width w of the element. This also holds
+    for a sliver (a narrow element with a single collocation point, cut around a switch). The
     residuals of the equations between the points do not show a wrong time. A comparison with the
-    previous mesh does not show it either, because that mesh may have had the same sliver. The jump
-    of the Hamiltonian decreases towards the optimal switch, which is at most w away. J is therefore
-    too large by at most |H- - H+| w.
+    previous mesh does not show it either, because the previous mesh may have had the same sliver.
 
-    If an equation depends on time explicitly, the Hamiltonian changes without a switch. The
-    Hamiltonians of two neighbouring points are therefore compared at equal times: at the time of
-    the first point, and at the time of the second point. A jump between two elements counts for the
-    narrower element, which was cut for that jump. The costates are computed in two ways: directly
-    as multipliers, and by integration through the element. The two results differ where the
-    polynomials cannot follow the costates. The smaller jump of the Hamiltonian then counts.
+    The jump of the Hamiltonian decreases towards the optimal switch, which is at most w away. J is
+    therefore too large by at most |H- - H+| w.
+
+    The jump is the difference of the Hamiltonians at two neighbouring collocation points. If an
+    equation depends on time explicitly, the Hamiltonian changes even without a switch. The
+    difference is therefore taken with the explicit time equal for both points: once with the time
+    of the first point, and once with the time of the second point. The mean of the two differences
+    counts. A jump between two elements counts for the narrower element, which was cut for that
+    jump.
+
+    The costates are computed in two ways: directly as multipliers, and by integration through the
+    element. The two results differ where the polynomials cannot follow the costates. The smaller
+    jump of the Hamiltonian counts.
 
     Parameters
     ----------
