@@ -676,8 +676,8 @@ def broken_under_control(
 
     Some tolerances are larger than for plans. The largest distance from a waypoint may be exceeded
     by the distance from the goal that is tolerated on arrival. The largest speed at a waypoint may
-    be exceeded by the speed that is tolerated on arrival. The limit that keeps the heading is not
-    checked.
+    be exceeded by the speed that is tolerated on arrival. The yaw rate in a mission with constant
+    heading is not checked: feedback must be free to turn the vehicle back to this heading.
 
     Parameters
     ----------

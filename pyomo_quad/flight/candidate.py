@@ -59,10 +59,10 @@ _MOST_STRICTER = 4
 class AlongShortest:
     """Starting point of a search for a plan: the mission's solution along its shortest route.
 
-    A mission with keep-out zones or a wind field has several routes. `flight` is the solution along
-    the shortest route, on a single coarse mesh. This solution is known before the search begins,
-    from the search for the best order of the waypoints. The search for a plan solves only along the
-    other routes and compares their solutions with `flight`.
+    A mission with keep-out zones or a wind field has several routes. Before the search for a plan,
+    another search finds the best order of the waypoints. It already solves the mission along the
+    shortest route, on a single coarse mesh. `flight` is this solution. The search for a plan then
+    solves the mission along the other routes only, and compares their solutions with `flight`.
     """
 
     flight: Solution
@@ -87,8 +87,9 @@ class Candidate:
     start : Start or None
         Solution or plan of a similar problem, from which the search starts.
     solution : Solution or None
-        Solution of the first solve. If the first solve failed, solution of the first later solve
-        that succeeded.
+        The best solution found so far. At first, it is the result of the first solve, converged or
+        not. A later solve may replace it, for example a retry that succeeds. None before the first
+        solve.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
@@ -234,10 +235,10 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, its result is kept as a failed solution. Only for a mission
-        without regeneration, the result is discarded, and other strategies are tried. A mission
-        without regeneration is hard to solve directly: a rotor that brakes returns no energy, so
-        the power has a kink at zero.
+        If the solve does not converge, its result is kept as a failed solution. A mission without
+        regeneration is an exception: the result is discarded, and other strategies are tried. Such
+        a mission is hard to solve directly, because its power has a kink at zero: a rotor that
+        brakes returns no energy.
 
         Returns
         -------
@@ -394,9 +395,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The solution serves as the initial guess when the method `speed_up` solves for the original
-        duration. This solve starts from the solution of the last call that succeeded. If there is
-        none, it starts from the default guess of the model.
+        Each call of `slow_down` starts from the solution of the last call that succeeded, or from
+        the default guess of the model if there is none. The method `speed_up` later solves for the
+        original duration, with the last solution of `slow_down` as its initial guess.
 
         Returns
         -------
@@ -490,17 +491,19 @@ class Candidate:
         The reasons are stored in the attribute `failure`. The status of the solution becomes
         "infeasible" or "not converged". Nothing changes without a diagnosis.
 
-        The mission is infeasible if its duration is below the least duration that `find_shortest`
-        found. A mission of free duration is judged by the greatest duration that it allows.
+        The mission is judged infeasible in two cases. In the first case, the duration of the
+        mission is below the least duration that `find_shortest` found. A mission of free duration
+        is judged by the greatest duration that it allows.
 
-        The mission is also infeasible if the solution of the elastic problem still violates a
-        limit. The elastic problem minimises the violation of the mission's limits. This violation
-        proves nothing if `find_shortest` found a flight within the mission's duration.
+        The second case concerns the elastic problem, which minimises the violation of the mission's
+        limits. The mission is judged infeasible if the solution of the elastic problem violates a
+        limit, and `find_shortest` found no flight within the mission's duration.
 
-        In all other cases, the status is "not converged". It is also "not converged" if a flight on
-        a coarse mesh kept all limits, or if another route through a wind field may exist. The
-        elastic problem cannot exclude another route, because it is only solved near the best
-        iterate of one failed solve.
+        Even in these cases, the mission is not judged infeasible if a flight on a coarse mesh kept
+        all limits, or if another route through a wind field may exist. The elastic problem cannot
+        exclude another route, because it is solved near the best iterate of one failed solve only.
+
+        If the mission is not judged infeasible, the status is "not converged".
         """
         if self.diagnosis is None:
             return
@@ -580,10 +583,9 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        The result is True if the method `is_astray` returns True: the simulated flight deviates
-        from the plan although the solve converged. The result is False if the scenario requires the
-        highest accuracy, named `proof`. This accuracy does not allow stricter limits, because they
-        cost energy.
+        The result is True if the simulated flight deviates from the plan although the solve
+        converged (see `is_astray`). The result is always False at the highest accuracy, `proof`.
+        Stricter limits cost energy, and a scenario with this accuracy does not allow them.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 

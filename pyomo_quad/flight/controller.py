@@ -842,8 +842,9 @@ class AdaptiveController:
         Notes
         -----
         If the reference is a plan, all values apply at time t. For any other reference, the planned
-        values are zero. The accelerations for the tilt then apply at a time later than t, because
-        the vehicle reaches a commanded tilt with a lag.
+        values are zero, and the accelerations for the tilt are those of the reference at a time
+        somewhat later than t. The vehicle needs this lead because it reaches a commanded tilt with
+        a lag.
         """
         place, rate, acceleration, tilting = reference(t)
         left = self._released(t)

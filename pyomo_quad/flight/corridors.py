@@ -7,21 +7,23 @@ that the cheapest route takes this duration.
 
 Corridors are found on a grid of points about start and goal. Straight lines join each point of the
 grid to 16 neighbours. Lines through keep-out zones, and lines where the wind is unknown, are not
-used. Any other line costs as much as steady flight along it. At airspeed a, ground speed g and
-power P(a), this cost is (P(a) + price of time) / g per metre. The ground speed is the one with the
-least cost. It determines the airspeed, together with the wind at both ends and in the middle of the
-line. The power is tabulated once for all airspeeds. If the field changes with time, the wind at a
-place is taken at the time when a flight at constant speed would pass the place.
+used. The cost of any other line is the cost of steady flight along it. For ground speed g, airspeed
+a and power P(a), this cost is (P(a) + price of time) / g per metre. The ground speed is chosen so
+that the cost is least. The airspeed follows from the ground speed and the wind. The wind is taken
+at both ends and in the middle of the line. If the field changes with time, the wind at a place is
+taken at the time when a flight at constant speed would pass the place. The power is tabulated once
+for all airspeeds.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
 every grid point. The cheapest of these routes is the first corridor. For the next corridor, grid
 points near any route found so far are excluded. The cheapest route through one of the remaining
-points is the next corridor. The search ends when this route costs much more than the first corridor
-[1]_. A route may make a needless detour through its grid point. Therefore corners are removed where
-a straight line costs no more. The route is discarded if it then coincides with an earlier corridor.
+points is the next corridor [1]_. The search ends when this route costs much more than the first
+corridor. A route may make a needless detour through its grid point. Therefore corners are removed
+where a straight line costs no more. The route is discarded if it then coincides with an earlier
+corridor.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
-   ACM Journal of Experimental Algorithmics 18 (2013): routes through one place.
+   ACM Journal of Experimental Algorithmics 18 (2013), on cheapest routes through a given place.
 """
 
 from collections.abc import Callable
@@ -347,8 +349,8 @@ def _grid(
     """Return the points of the search grid about a leg, and the lines that join them.
 
     The search for cheap routes (corridors) goes from point to point along the lines. On the map,
-    the grid is a rectangle that contains start and goal of the leg with a margin. The heights of
-    the points vary in proportion to the way along the leg.
+    the grid is a rectangle that contains start and goal of the leg with a margin. Each point of the
+    grid has the height of the leg at the place of the leg that is nearest on the map.
 
     Each point of the grid is joined to its 16 neighbours. Start and goal are joined to the grid
     points near them. Lines through keep-out zones are included; they get an infinite cost later.

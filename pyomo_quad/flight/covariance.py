@@ -141,9 +141,9 @@ def propagated(
     transitions : ndarray, shape (n, n_x, n_x)
         Transition matrices of the steps.
     noise : ndarray, shape (n, n_x, n_noise)
-        Effects on the states of the random numbers that are drawn anew in each step.
+        Input matrices of the steps, for the random numbers that are drawn anew in each step.
     constants : ndarray, shape (n, n_x, n_constants)
-        Effects on the states of the random numbers that are drawn once.
+        Input matrices of the steps, for the random numbers that are drawn once.
 
     Returns
     -------

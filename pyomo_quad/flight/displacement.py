@@ -124,8 +124,8 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
     -------
     tuple of Push
         One push for each time span that the flight spends inside a zone. The push lasts as long as
-        this time span. It leads along the shortest way out of the zone, from the place where the
-        flight is deepest inside, and a little further.
+        this time span. It has the direction of the shortest way out of the zone, from the place
+        where the flight is deepest inside. It is somewhat longer than this way.
     """
     found: list[Push] = []
     for name, depth in _depths(limits).items():

@@ -250,9 +250,9 @@ class EnsembleSimulation:
     def _fastest_rate(self) -> float:
         """Return the decay rate of the fastest mode of the closed loop at take-off [1/s].
 
-        The integration steps must be short enough to be stable at this rate. The gains of the
-        controller do not determine the rate, because accelerating rotors react on the body. This
-        reaction makes the yaw loop several times faster than any gain.
+        The integration steps must be short enough to be stable at this rate. The rate does not
+        follow from the gains of the controller: the yaw loop is several times faster than any gain.
+        The reaction moment of accelerating rotors on the body makes the yaw loop so fast.
         """
         loop = ClosedLoop(
             self._dynamics,

@@ -214,12 +214,13 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 
 
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
-    """Return a plan whose vehicle is exactly on a path, and an unconverged solution for its times.
+    """Return a plan that follows a path exactly, and a solution with the times of the path.
 
     `journey` is a route for each leg of the mission, and `path` is a smooth path along it. The plan
-    has not been simulated. The solution is the initial point of a solve of the mission, without any
-    iteration. Its duration and its passing times of waypoints are those of the path. The solution
-    contains the equations of the vehicle, which the simulation of the plan needs.
+    has not been simulated. The solution is not converged: it is the initial point of a solve of the
+    mission, without any iteration. The duration and the passing times of waypoints in the solution
+    are those of the path. The solution contains the equations of the vehicle, which the simulation
+    of the plan needs.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]

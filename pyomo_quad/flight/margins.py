@@ -86,9 +86,9 @@ class RiskTaken:
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     least : float
-        Lower bound on the risk of every plan; zero if it was not computed. It is the fraction of
-        vehicles, hovering at the goal, that gusts carry beyond a limit of the end of a flight: the
-        limit on distance from the goal, or the limit on speed.
+        Lower bound on the risk of every plan; zero if it was not computed. To find it, vehicles
+        that hover at the goal in turbulence are simulated. The bound is the fraction of these
+        vehicles that are farther from the goal, or faster, than is allowed at the end of a flight.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
@@ -179,7 +179,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield how much nearer a flight comes to each bound of a limit than its plan.
+    """Yield, for each bound of a limit, how much nearer to this bound a flight comes than its plan.
 
     Parameters
     ----------
@@ -190,7 +190,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
     ------
     (str, float)
         Scenario field that sets a bound of the limit, and how much nearer to this bound the flight
-        is than the plan: the largest difference over all times, in the unit of the limit.
+        comes than the plan, in the unit of the limit. The two are compared at equal times; the
+        largest difference counts.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -222,10 +223,10 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 
 
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
-    """Return the times at which flights must pass the waypoints, from the times of a plan.
+    """Return the times at which flights that follow a plan must pass the waypoints.
 
-    A plan may begin its hovers earlier than the mission requires, by the time `lead`, to leave a
-    margin. A flight that follows the plan must hover only from the time that the mission requires.
+    To leave a margin, a plan may begin its hovers earlier than the mission requires, by the time
+    `lead`. A flight that follows the plan need not hover before the time that the mission requires.
 
     Parameters
     ----------

@@ -194,7 +194,7 @@ class MissionProblem:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
         These values smooth the power over the largest width at its kink at zero, where rotors begin
-        to brake. A mission that has no easier values, as with regeneration, is solved with its own.
+        to brake. A mission with regeneration has no such values, and is solved with its own values.
         ``chosen`` holds arguments of the method `Problem.solve` that replace those of the property
         `arguments`.
         """

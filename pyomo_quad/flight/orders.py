@@ -322,8 +322,8 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of each leg (flight from one place to another), for at least one place between start
         and goal.
     reached : float
-        Cost of a known order. The result never exceeds this cost. The bound by trees is raised by
-        an iteration, whose target is this cost.
+        Cost of a known order. The result never exceeds this cost. An iteration raises the bound by
+        spanning trees step by step towards this cost.
 
     Returns
     -------

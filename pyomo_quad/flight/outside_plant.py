@@ -712,9 +712,10 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]
     boundaries of the plan's mesh elements.
 
     The attribute `plant.habits` may prescribe that the motors receive rotor-speed commands at a
-    fixed rate. The law then adds a term to the planned rotor acceleration: the planned minus the
-    actual rotor speed, divided by the time constant of the motors. The resulting rotor-speed
-    command is the planned rotor speed plus the time constant times the planned acceleration.
+    fixed rate. In this case, the law adds a correction to the planned rotor acceleration. The
+    correction is the planned minus the actual rotor speed, divided by the time constant of the
+    motors. With it, the rotor-speed command does not depend on the actual rotor speed: it is the
+    planned rotor speed plus the time constant times the planned acceleration.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

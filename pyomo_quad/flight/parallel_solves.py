@@ -1,8 +1,9 @@
 """Solves of one mission side by side, in forked copies of this process.
 
-A copy has the compiled problem already. It sends back its solution without the problem, which takes
-a few milliseconds. It also sends back its best usable plan: a plan that simulation confirms at
-lower accuracy than requested.
+Each copy sends its solution back to this process. The solution is sent without the compiled
+problem, which this process has already. Sending it therefore takes a few milliseconds only. Each
+copy also sends back its best usable plan: a plan that simulation confirms at lower accuracy than
+requested.
 """
 
 from __future__ import annotations
@@ -37,8 +38,9 @@ def solve_side_by_side(
     """Carry out solves of a mission, as many at the same time as there are cores.
 
     Solves run in this process and in forked copies of it. The solutions do not depend on the number
-    of cores. A single solve, or solves within another call of this function, are carried out in
-    turn. If the user or a limit stops the solves, those in copies are given up.
+    of cores. If this function is called during another call of itself, all solves run in this
+    process, one after the other. A single solve also runs in this process. If the user or the time
+    limit stops the solves, this process no longer waits for the copies.
 
     Parameters
     ----------
@@ -116,7 +118,8 @@ def _reduced(sent: object) -> Any:
     The copy and the original process both have the objects in the list `_SHARED`: the problem of
     the mission and its compiled form. If `sent` is one of these objects, only its index in the list
     is sent. Any other object is sent as a whole. The result is a reduction as the module `pickle`
-    defines it: a function and its arguments. The receiver calls this function to get the object.
+    defines it: a function and its arguments. In the original process, `pickle` gets the object by
+    calling this function with these arguments.
     """
     for place, shared in enumerate(_SHARED):
         if sent is shared:

@@ -448,9 +448,10 @@ class Plan(Summarised):
         simulated, for example because the solve failed.
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If feedback
-        corrected the controls after the solve, the estimate is at least the relative difference
-        between the plan's energy and the least energy of the mission. As a rule, the energy of the
-        uncorrected solution is taken as the least energy.
+        corrected the controls after the solve, the error of the energy is also estimated: it is the
+        relative difference between the plan's energy and the least energy of the mission. The
+        larger of the two estimates is then used. As a rule, the energy of the uncorrected solution
+        is taken as the least energy.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -613,13 +614,15 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated fraction of the energy that a better flight near the plan may save.
 
-        For a verified plan, the fraction is the smaller of the plan's error estimate, which
-        includes the error of the energy, and the tolerance that the scenario requests.
+        For a verified plan, the fraction is the smaller of two numbers: the plan's error estimate,
+        and the tolerance that the scenario requests. The error estimate includes the error of the
+        energy.
 
         For any other plan, the fraction is the relative change of the objective from the second
-        last to the last mesh. If there was only one mesh, it is the error estimate, which is
-        infinite if no error could be estimated. In both cases, the fraction is at least the energy
-        tolerance of the lowest accuracy, `quick`, because two meshes may agree by chance.
+        last to the last mesh. If there was only one mesh, the fraction is the plan's error
+        estimate. This estimate is infinite if no error could be estimated. The fraction is at least
+        the energy tolerance of the lowest accuracy, `quick`, because two meshes may agree by
+        chance.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -673,11 +676,13 @@ class Plan(Summarised):
         """Estimate the energy still needed by a flight that ends off the goal [J].
 
         Each state contributes its final costate times the deviation of its final value from the
-        planned final value. To first order, the estimate is the energy that a mission to the
-        flight's final state would save compared with the planned mission. If the least energy is a
-        convex function of the final state, the saving is at most this estimate. The energy of the
-        flight plus the estimate is then not less than the least energy of the planned mission, or
-        any lower bound on it.
+        planned final value.
+
+        Consider a mission that ends at the flight's final state. To first order, the estimate is
+        the energy that this mission saves compared with the planned mission. If the least energy is
+        a convex function of the final state, the saving is at most the estimate. The energy of the
+        flight plus the estimate is then at least the least energy of the planned mission. It is
+        also at least any lower bound on this least energy.
 
         Parameters
         ----------

@@ -157,9 +157,10 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    From the start of the flight, the reference is at the first waypoint. It stays at each waypoint
-    until the vehicle is to leave the waypoint: at its prescribed time plus the duration of its
-    hover. Then it jumps to the next waypoint or to the goal.
+    From the start of the flight, the reference is at the first waypoint. It stays at a waypoint
+    until the prescribed time of the waypoint plus the duration of the hover there. At this time,
+    the vehicle is to leave the waypoint, and the reference jumps to the next waypoint or to the
+    goal.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -257,9 +258,9 @@ class SampledPath:
     def __call__(self, t: float) -> Setpoint:
         """Return the setpoint at time t [s].
 
-        Outside the samples, the setpoint has the position and acceleration of the nearest sample,
-        and zero velocity. A controller that looks ahead needs a setpoint that does not change after
-        the end.
+        Outside the samples, the setpoint is constant: it has the position and acceleration of the
+        nearest sample, and zero velocity. A controller that looks ahead needs setpoints for times
+        after the last sample.
         """
         row, is_inside = self._row(t)
         return Setpoint(row[:4], row[4:8] if is_inside else _AT_REST, row[8:])
