@@ -174,10 +174,10 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        The mesh has short elements at the present time, the waypoints and the end. Solves at
-        successive times often have the same mesh, because a solve can then reuse the structure of
-        the previous equations. A mesh is used until a fifth of the time to the next waypoint, or to
-        the end, has passed. The next mesh is for the shorter remaining time.
+        The mesh has short elements at the present time, the waypoints and the end. It is used until
+        a fifth of the time to the next waypoint, or to the end, has passed. The next mesh is made
+        for the shorter remaining time. Several successive solves thus have the same mesh. Each of
+        them can reuse the structure of the equations of the solve before.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -452,11 +452,12 @@ class Replanner:
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
-        """Return whether a flight is nearer to a limit than its plan, by more than the margin.
+        """Return whether a flight has used up its margin to any limit.
 
-        The margin is the amount by which the limit was tightened for the plan. All limits are
-        tested. `course` has the plan. `state` is the measured state at time t [s], shape
-        (n_states,).
+        The margin is the amount by which the limit was tightened for the plan. The distances of the
+        vehicle and of its plan from the limit are compared. The margin is used up if the distance
+        of the vehicle is smaller by more than the margin. `course` has the plan. `state` is the
+        measured state at time t [s], shape (n_states,).
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -477,14 +478,15 @@ class Replanner:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
         The prediction begins with the planned state at the time `end`. Attitude and rotor speeds
-        are changed so that the thrust also balances the acceleration `unexplained`. Otherwise the
-        re-plan would begin with a turn to the balancing attitude.
+        are changed so that the thrust also balances the acceleration `unexplained`. Without this
+        change, the re-plan would begin with a rotation to the attitude that balances the
+        acceleration.
 
-        If the measured position is at most `tube` [m] (an attribute) from the planned position, the
-        predicted position and velocity are the planned ones. The controller can correct such a
-        deviation. A re-plan from the measured state would follow each lag of the vehicle. If the
-        distance is larger, position and velocity are moved towards the measured values. They are
-        moved only until the vehicle is at most `tube` from the re-plan.
+        The measured position is compared with the planned position. If their distance is at most
+        `tube` [m] (an attribute), position and velocity keep their planned values. The controller
+        can correct such a deviation. A re-plan from the measured state would follow each lag of the
+        vehicle. If the distance is larger, position and velocity are changed towards the measured
+        values. The change is just large enough that the vehicle is at most `tube` from the re-plan.
 
         Parameters
         ----------

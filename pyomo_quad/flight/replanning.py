@@ -14,10 +14,10 @@ guess of each solve (see `flight.remaining`).
 
 The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists
 from every state from which rotors and battery can reach the goal. If a solve fails nevertheless,
-the vehicle follows its previous plan. Each limit was tightened for the plan by an amount called its
-margin. If the vehicle is nearer to a limit than its plan by more than the margin, a failed solve is
-repeated at once. The second solve may take many more iterations, although the new plan may then be
-late.
+the vehicle follows its previous plan. For the plan, each limit was tightened by an amount called
+its margin. The vehicle may be nearer to a limit than its plan. If it is nearer by more than the
+margin, a failed solve is repeated at once. The second solve may take many more iterations, although
+the new plan may then be late.
 
 No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
 arrive exactly within seconds would counteract every gust at any cost. The gust may have changed

@@ -404,9 +404,9 @@ class _Search:
         their test flights. Each new margin is halfway between the margin of `best` and that of the
         last failed plan, or zero if no plan failed.
 
-        The plan with smaller margins is accepted only if at most half the allowed number of its
-        test flights break a limit. This is stricter than the usual test: a choice among several
-        plans favours plans whose flights kept the limits by chance.
+        A plan with smaller margins must pass a stricter test than usual. Its test flights that
+        break a limit may be at most half as many as the allowed risk permits. The test is stricter
+        because several plans are tried: one of them may pass the usual test by chance.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -583,9 +583,10 @@ class _Search:
 
         The simulated vehicles hover at the goal in turbulence for `_HOVER_S` seconds. The mission
         limits the distance from the goal and the speed at the end of a flight. The result is the
-        fraction of the vehicles that break one of these limits after the hover. A vehicle that has
-        hovered keeps the limits at least as often as a vehicle that has just arrived. Whatever the
-        margins of a plan, at least this fraction of the flights therefore misses the goal.
+        fraction of the vehicles that break one of these limits after the hover. The result is also
+        the least fraction of flights that miss the goal, for any margins of a plan. The reason is
+        that a vehicle that has just arrived breaks the limits at least as often as a vehicle that
+        has hovered.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
@@ -664,11 +665,11 @@ class _Search:
         """Return the margins that the allowed risk requires, from predicted statistics of flights.
 
         Margins are the amounts by which limits are tightened for the plan. The risk is the
-        probability that a flight in turbulence breaks any limit. The probability of missing the
-        goal is subtracted from the allowed risk. The probability of breaking limits that flights
-        hardly ever break is subtracted too; these limits need no margin. The rest is divided
-        equally among the other limits. `tried` is a plan with the statistics of flights that follow
-        it. The result maps each scenario field to its margin.
+        probability that a flight in turbulence breaks any limit. Some limits are hardly ever
+        broken, and need no margin. Two probabilities are subtracted from the allowed risk: that of
+        missing the goal, and that of breaking the limits without margin. The rest of the risk is
+        divided equally among the other limits. `tried` is a plan with the statistics of flights
+        that follow it. The result maps each scenario field to its margin.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -717,10 +718,11 @@ class _Search:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        `tried` is the plan with its margins, and `seed` the seed of the random winds. A part of the
-        flights is simulated first. The plan has failed if more of them break a limit than the risk
-        allows for all flights together. The other flights are then not simulated. With `is_whole`,
-        all flights are simulated at once.
+        `tried` is the plan with its margins, and `seed` the seed of the random winds. Among all
+        flights together, the risk allows a certain number that break a limit. A part of the flights
+        is simulated first. If more than this number break a limit already in this part, the plan
+        has failed, and the other flights are not simulated. With `is_whole`, all flights are
+        simulated at once.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)

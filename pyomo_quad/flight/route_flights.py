@@ -227,8 +227,9 @@ class RouteFlights:
 
         A journey is a route for each leg of the mission. `error` is the relative error of the
         energies on the present mesh. If it is greater than the energy tolerance of the mission, the
-        mesh cannot rank journeys of similar energy. The result is then `most`. Otherwise the result
-        is 1, because any other journey saves less energy than the tolerance.
+        mesh cannot rank journeys of similar energy. The result is then `most`. Otherwise the
+        cheapest journey is enough, and the result is 1. No other journey can save more energy than
+        the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
@@ -330,8 +331,9 @@ class RouteFlights:
         A journey is a sequence of routes, one for each leg from one waypoint to the next. `pace` is
         the duration of the guess relative to the nominal duration of the mission. If the solve
         fails, it is repeated from the solution of an easier mission. In the easier mission the
-        vehicle passes exactly through the waypoints. For all further journeys the easier mission is
-        solved first, because the difficulty does not depend on the journey.
+        vehicle passes exactly through the waypoints. After one such failure, the easier mission is
+        solved first for all further journeys, too, because the solve would be as difficult along
+        any journey.
         """
         told, mission = self._scenario, self._mission
         guess: Any = guess_along(
@@ -358,7 +360,9 @@ class RouteFlights:
         """Solve along one of several journeys, without effect on the solves along the others.
 
         A journey is a route for each leg of the mission. If the solve fails, it is repeated from
-        the solution of an easier mission, as in the method `fly`.
+        the solution of an easier mission, as in the method `fly`. After such a failure, `fly`
+        solves the easier mission first for all further journeys. The present method leaves the
+        solves along the other journeys as they are.
         """
         is_plain = self._is_plain
         solution = self.fly(journey)
@@ -516,9 +520,9 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
     """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
     The result has one set of pairs (name of a zone, side) for each leg of the mission. The caller
-    uses the pairs to leave out other journeys. A zone that the optimum does not touch may be
-    removed from the mission without changing the optimum. Another journey that passes the touched
-    zones on the same sides is therefore not cheaper; see docs/theory/routes.md.
+    uses the pairs to leave out other journeys: a journey that passes all touched zones on the same
+    sides is not cheaper. The reason is that the optimum would be the same without the zones that it
+    does not touch; see docs/theory/routes.md.
 
     Parameters
     ----------

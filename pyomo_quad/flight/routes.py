@@ -278,8 +278,8 @@ class _Graph:
     ends : ndarray, shape (2, 3)
         Start and goal [m].
     relevant : list of KeepOut
-        The zones that block lines of the graph. Routes may cross the other zones, so the caller
-        checks the routes against them.
+        The zones of the graph: its points are round these zones, and its lines avoid them. A route
+        may still cross another zone of the airspace. The caller checks this.
     """
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:

@@ -174,7 +174,9 @@ class Search:
     def is_stopped(self) -> bool:
         """Return whether the user or the time limit has stopped the search.
 
-        The progress callback of the caller is called once more, with the last iteration of Ipopt.
+        The user stops the search through the progress callback of the caller, which then returns
+        False. To ask it, this method calls the callback once more, with the last iteration of
+        Ipopt.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -359,10 +361,10 @@ def _is_optimised(plan: Plan | None) -> bool:
 def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
-    The lower accuracy consists of fixed tolerances on the simulated flight. The plan must also have
-    an estimate of the energy that a better plan may save. Other plans are returned unchanged.
-    Infeasible plans, and plans that simulation has confirmed already, are also unchanged. The
-    message of a usable plan states the accuracy of the simulated flight.
+    The lower accuracy consists of fixed tolerances on the simulated flight. The uncertainty of the
+    plan's energy must be known, too: an estimate of the energy that a better plan may save. Other
+    plans are returned unchanged. Infeasible plans, and plans that simulation has confirmed already,
+    are also unchanged. The message of a usable plan states the accuracy of the simulated flight.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan

@@ -74,8 +74,9 @@ class Pace:
     acceleration : float
         Greatest acceleration along the lines between the corners [m/s^2].
     turning : float
-        Greatest acceleration of the smooth path at the corners [m/s^2]. The smooth path cuts each
-        corner by a distance that is at most proportional to this acceleration.
+        Greatest acceleration of the smooth path at the corners [m/s^2]. The smooth path cuts the
+        corners. The greatest possible distance between path and corner is proportional to this
+        acceleration.
     """
 
     speed: float
@@ -235,10 +236,11 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
 def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
     """Return the motion along straight lines from corner to corner, with bounded acceleration.
 
-    The smooth path is a moving average of this motion over a time span. At hovers, the motion rests
-    longer than the smooth path by the span. At the start and the goal, it rests for half of the
-    span. A settling time is added at the goal and at hovers, in which deviations of a simulated
-    flight vanish.
+    The smooth path is a moving average of this motion over a time span. At a hover, the motion
+    rests for the duration of the hover plus the span, so that the smooth path rests for the
+    duration of the hover. At the start and at the goal, the motion rests for half of the span. At
+    hovers and at the goal, it also rests for a settling time. During this time, deviations of a
+    simulated flight vanish.
 
     `stops` has the corners of the route with the hovers and speeds that the mission requires.
     `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].

@@ -1,4 +1,4 @@
-"""Shifts of a path in tilt, speed and rotor speeds that lead its flight within their limits.
+"""Shifts of a path in tilt, speed and rotor speeds, away from limits that a flight exceeds.
 
 Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
 A vehicle that follows the solution under feedback may then exceed the limit too. For the next

@@ -362,10 +362,10 @@ class SteadyFlight:
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
         """Return the power that speeds up all rotors together, per rotor acceleration [J s/rad].
 
-        All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. The
-        power meant is stored in the rotors, and returned when they slow down. The result is this
-        power divided by the acceleration, and has the shape of `speed`. Losses that do not depend
-        on the sign of the acceleration are excluded.
+        All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. Only
+        the power that is stored in the rotors is counted. The rotors return it when they slow down.
+        Losses that do not depend on the sign of the acceleration are not counted. The result is the
+        counted power divided by the acceleration, and has the shape of `speed`.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))

@@ -91,7 +91,8 @@ class Mission(Protocol):
 
         `Problem.solve` is the solver of the compiled problem. The property `arguments` has its
         usual arguments for the mission. `chosen` holds arguments that replace the usual ones.
-        `numbers` maps the full names of parameters to values, changed or not.
+        `numbers` maps the full names of parameters to their values in this solve. It may also hold
+        parameters whose values are unchanged.
         """
 
 
@@ -105,9 +106,9 @@ def within_limits(
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
     For each plan, the problem is solved again on one mesh. The limits that the last simulated
-    flight broke are made stricter. The mesh is made finer at the times of the violations. If a
-    flight satisfies all limits, the stricter limits may cost more energy than the accuracy allows.
-    The next solve then has less strict limits and a still finer mesh.
+    flight broke are made stricter. The mesh is made finer at the times of the violations. A flight
+    may satisfy all limits, but cost more energy than the accuracy allows, because the limits are
+    too strict. The next solve then has less strict limits and a still finer mesh.
 
     Parameters
     ----------
@@ -126,10 +127,10 @@ def within_limits(
     Yields
     ------
     Plan
-        Plan with the result of its simulation. Its solution is stated with the parameters of the
-        mission, not with those of the stricter limits. The iteration ends if a solve fails, or if
-        all limits are satisfied at an acceptable cost. It also ends if a stricter limit cannot
-        help: the violation is too large, or no parameter sets the limit.
+        Plan with the result of its simulation. The parameter values stored with the plan are those
+        of the mission, without the stricter limits. The iteration ends if a solve fails, or if all
+        limits are satisfied at an acceptable cost. It also ends if a stricter limit cannot help:
+        the violation is too large, or no parameter sets the limit.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
@@ -217,10 +218,10 @@ def _helps(breach: Violation, figures: Figures) -> bool:
     limit helps if the violation is small and a parameter of the model sets the limit. Otherwise
     only a finer mesh helps.
 
-    Limits on the rotors' speed and thrust are an exception. Stricter ones cost more energy than any
-    accuracy level tolerates. They are tried only for a usable plan: a plan that simulation confirms
-    at lower accuracy than requested. Its tolerances are the constant `USABLE` of
-    `scenario.accuracy`.
+    Limits on the rotors' speed and thrust are an exception. A stricter limit on them costs more
+    energy than any accuracy level tolerates. It is tried only if `figures` is the constant `USABLE`
+    of `scenario.accuracy`, the tolerances of a usable plan. A usable plan is a plan that simulation
+    confirms at lower accuracy than requested.
     """
     name = breach.name.partition("[")[0]
     is_affordable = name not in _DEAR or figures is USABLE

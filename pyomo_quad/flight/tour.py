@@ -130,10 +130,11 @@ class LegTable:
         square error of the regression is subtracted from the prediction. As long as no leg is
         solved, the lengths of the legs [m] serve as costs.
 
-        For a leg whose solve failed, nothing is subtracted. The cost of such a leg is not infinite,
-        because an order may still use the leg. For example, each leg of a mission of fixed duration
-        receives a part of the duration in proportion to its length. This part may be too short for
-        a flight from hover to hover, but long enough without the stops at the ends of the leg.
+        The cost of a leg whose solve failed is the prediction, from which nothing is subtracted.
+        This cost is not infinite, because the leg may still be possible without stops at its two
+        ends. For example, each leg of a mission of fixed duration receives a part of the duration
+        in proportion to its length. This time may be too short for a flight from hover to hover,
+        but long enough for a flight without stops.
 
         Returns
         -------

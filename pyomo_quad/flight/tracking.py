@@ -275,8 +275,9 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     pitch: the regulator finds the tilt that the displaced path needs. During the demanded hovers,
     the velocity is changed to zero. The shifts of the demands change tilt, speed and rotor speeds.
 
-    If the mission requires a constant heading, yaw angle and yaw rate are changed, too. The coarse
-    solution has a constant heading at its collocation points only.
+    If the mission requires a constant heading, yaw angle and yaw rate are changed, too, so that the
+    heading of the path is constant. The heading of the coarse solution is constant at its
+    collocation points only.
 
     Parameters
     ----------
@@ -392,13 +393,13 @@ def _regulator(
 
 
 def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) -> FloatArray:
-    """Return the disturbance of the states in each element that an earlier flight shows.
+    """Return the disturbance of the states in each mesh element, from an earlier flight.
 
-    In each element, the linearised equations predict the deviation from the path at the end of the
-    element. They predict it from the deviation at the start and from the correction of the
-    controls. The disturbance is the actual deviation minus the prediction. The next flight is
-    assumed to have the same disturbance, so that its controls can anticipate the disturbance.
-    Implements docs/theory/tracking.md, eq. (6).
+    The linearised equations predict the deviation from the path at the end of an element. The
+    prediction uses the deviation at the start of the element and the correction of the controls.
+    The disturbance is the actual deviation at the end minus the predicted deviation. The next
+    flight is assumed to have the same disturbance, so that its controls can anticipate the
+    disturbance. Implements docs/theory/tracking.md, eq. (6).
 
     Parameters
     ----------

@@ -123,12 +123,13 @@ def verified(
 ) -> Plan:
     """Return a plan with the result of its verification, by simulation of its controls.
 
-    The controls of a solution on a coarse mesh would miss the goal. Feedback therefore first
-    corrects the controls, except at the highest accuracy level, `proof` (see `flight.tracking`).
+    With the controls of a solution on a coarse mesh, the vehicle would miss the goal. The controls
+    are therefore first corrected by feedback, except at the highest accuracy level, `proof` (see
+    `flight.tracking`).
 
-    If the corrected flight breaks limits, the corrections are computed again. The new corrections
-    anticipate the deviations of the previous flight. They follow a path that is displaced out of
-    the zones that the previous flight entered (see `flight.displacement`).
+    If the flight with corrected controls breaks limits, the corrections are computed again. The new
+    corrections anticipate the deviations of the previous flight. The path that the vehicle follows
+    is displaced out of the zones that the previous flight entered (see `flight.displacement`).
 
     Parameters
     ----------
@@ -214,9 +215,9 @@ def _corrected(
     Plan
         Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
     Verification
-        Comparison of a flight with limits and final states. As a rule, this flight is a simulation
-        of the corrected controls without feedback. It is the last flight under feedback if no
-        flight under feedback meets even the tolerances of a usable plan.
+        Comparison of a flight with limits and final states. This flight is a simulation of the
+        corrected controls without feedback. There is one exception: if no flight under feedback
+        meets even the tolerances of a usable plan, the last flight under feedback is compared.
     Flown
         Samples of the flight that was compared.
     """

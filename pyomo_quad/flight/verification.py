@@ -275,8 +275,8 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     The result is negative if the battery always supplies more than needed. It is 0 for a model
     without motor or battery voltage. `flown` has the samples of the flight.
 
-    The motor's voltage is evaluated at constant rotor speed. A change of speed needs additional
-    voltage, but the limit on the rotors' acceleration covers this voltage.
+    The motor's voltage is evaluated at constant rotor speed. The additional voltage for a change of
+    speed is left out, because the limit on the rotors' acceleration accounts for it.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0

@@ -6,7 +6,7 @@ through the middle of the part of the leg inside the zone. If the leg stays outs
 through the point of the leg nearest to the zone.
 
 The plane always cuts the zone, and separates the start of the leg from its goal. A plane through
-the centre of the zone may fail to separate start and goal.
+the centre of the zone is not used, because it may lie before the start or beyond the goal.
 """
 
 from collections.abc import Sequence
@@ -285,9 +285,9 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    Each vector has shape (3,). The first vector is horizontal, except for a vertical leg. Even a
-    steep leg therefore passes a tall zone on the left or right. `ends` has start and end of the
-    leg, shape (2, 3) [m].
+    Each vector has shape (3,). The first vector is the horizontal direction of the leg, even if the
+    leg is steep. A steep leg thus passes a tall zone on the left or right. Only for a vertical leg
+    is the first vector vertical. `ends` has start and end of the leg, shape (2, 3) [m].
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)

@@ -93,9 +93,9 @@ class PackIdentification:
         Fitted fields.
     flights : DataFrame
         One row for each flight. Columns: state of charge at start and end [percent], factor on the
-        resistance of the flight's pack, and two root mean square errors of the unseen flight's
-        voltage [mV per cell]: one computed with this factor, one with the factor 1 of a median
-        pack.
+        resistance of the flight's pack, and two root mean square errors [mV per cell]. Both are
+        errors of the voltage of the unseen flight. One voltage is computed with the factor of the
+        flight's pack, the other with the factor 1 of a median pack.
     rows : DataFrame
         Time [s], measured and computed cell voltage [V] of the unseen flights.
     read_s : float

@@ -135,13 +135,15 @@ def declare_unexplained(m: ConcreteModel) -> None:
     planner in flight sets it to the observed minus the modelled acceleration. This difference is
     not zero if the wind differs from the forecast.
 
+    Each horizontal force is replaced by a new expression of the same name: the force plus the mass
+    times the unexplained acceleration. The old expression gets another name. A component that
+    refers to the horizontal forces must be declared later; otherwise it would refer to the old
+    expressions.
+
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares the aerodynamic forces in its block `aerodynamics`. Each
-        horizontal force is replaced by a new expression of the same name: the force plus the mass
-        times the unexplained acceleration. No other component of the model may refer to the
-        horizontal forces yet, because the old expressions lose their names.
+        Model that already declares the aerodynamic forces in its block `aerodynamics`.
     """
     b = m.aerodynamics
     b.unexplained = Param(
@@ -345,8 +347,9 @@ def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
     The sum along a body axis consists of the parasitic drag and of the drag and translational lift
     of all rotors. Forces whose coefficients are all zero are left out. For the sum along a world
-    axis, these forces are rotated to world axes. Then the force on the airframe is added, which the
-    block already has: the isotropic drag, or the wind force of eq. (9) of Yacef et al.
+    axis, these forces are rotated to world axes, and the force on the airframe is added. The force
+    on the airframe is the isotropic drag, or the wind force of eq. (9) of Yacef et al. The block
+    already has it.
 
     Parameters
     ----------

@@ -17,12 +17,12 @@ intervals. A prism over a convex polygon is the intersection of an interval acro
 interval of height.
 
 A place is outside the zone if it is outside at least one of the balls, that is, if the largest of
-the d_k is positive. In the model, a smooth lower bound replaces this maximum. No place inside a
-zone is therefore allowed, but some places outside are forbidden, too. They are near an edge of the
-zone, where two of the d_k differ by less than about w, and at most 0.14 w = 70 mm from the zone. At
-the corners of a box, they are at most 0.28 w = 140 mm from the zone. Elsewhere the forbidden places
-are exactly the zone. The clearance moves each face outwards by the distance c, and does not round
-the edges between the faces.
+the d_k is positive. In the model, a smooth lower bound replaces this maximum. A place is allowed if
+the lower bound is not negative. Every place inside the zone is thus forbidden. Some places outside
+the zone are forbidden, too. They are near an edge of the zone, where two of the d_k differ by less
+than about w. Their distance from the zone is at most 0.14 w = 70 mm, and at the corners of a box at
+most 0.28 w = 140 mm. Elsewhere the forbidden places are exactly the zone. The clearance moves each
+face outwards by the distance c, and does not round the edges between the faces.
 
 A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
 Near a corner of the prism, where several of the d_k are nearly equal, up to 0.14 w more is
@@ -37,7 +37,7 @@ field, flights stay within the edges of the field's grid. With `wind.beyond = "h
 extends the field beyond these edges, and the edges are no limit. Bottom and top of a zone are
 coordinates z, to which the height of the ground is not added.
 
-`declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone, because
+`declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone. Even
 the smallest deviation from such a place towards the zone would be forbidden.
 """
 
