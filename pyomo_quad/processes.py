@@ -53,11 +53,13 @@ def side_by_side(
     tasks : sequence of callable
         Functions without arguments.
     use_blas : bool, default True
-        Whether the tasks call BLAS, whose threads a forked copy lacks.
+        Whether the tasks call BLAS. If they do, and BLAS has several threads, all tasks run in this
+        process, because a forked copy lacks the threads.
     is_stopped : callable, optional
         Function that returns whether the tasks were stopped, for example by the user. It is called
-        every tenth of a second while this process waits for the copies. After True, this process
-        no longer waits but runs the unfinished tasks itself. Stopped tasks should end at once.
+        every tenth of a second while this process waits for the copies. When it returns True, this
+        process stops waiting and runs the unfinished tasks itself. A task that has been stopped
+        should end at once when it is run.
 
     Yields
     ------

@@ -357,9 +357,10 @@ def _largest(distances: Sequence[Any], width: Any) -> Any:
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
-    The surface is the surface of the forbidden places: the zone, enlarged by the clearance, and
-    some places near its edges, which the model forbids because it smooths the edges. A waypoint
-    with a radius is not checked, because the flight may pass beside the waypoint.
+    The surface encloses all places that the model forbids. These are the places in the zone, and
+    the places that are closer to the zone than the clearance. The model smooths the edges of the
+    zone, and therefore also forbids some places near the edges. A waypoint with a radius is not
+    checked, because the flight may pass beside the waypoint.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.

@@ -22,15 +22,17 @@ at rest. Without the table `battery.thermal`, the pack has no temperature.
 
 The paper's equations are undefined in two cases. Eq. (5) has a pole at an empty cell. And no
 current delivers more than the pack's greatest power U^2/(4 R), where U is the open-circuit voltage
-(less the relaxation voltage) and R the resistance of the pack. Two guards keep the equations
-finite: a smooth lower limit on the state of charge, and one on the share of the greatest power that
-is left. Above a fifth of the charge and below nine tenths of the greatest power, the guards change
-no result by more than rounding. The expression `power_reserve` is the greatest power less the power
-drawn. If it or the state of charge is negative, the pack cannot fly the mission.
+(less the relaxation voltage) and R the resistance of the pack.
 
-If the polarisation voltage k / SoC can exceed the other terms of e_m, the voltage vanishes before
-the pack is empty. Where the voltage is negative, the greatest power is negative, too. The flights
-are therefore limited to e_m >= 0.
+Two smooth lower limits, called guards, keep the equations finite. One guard limits the state of
+charge. The other guard limits the ratio of the power reserve to the greatest power. The power
+reserve, `power_reserve`, is the greatest power less the power drawn. Above a fifth of the charge
+and below nine tenths of the greatest power, the guards change no result by more than rounding. The
+pack cannot fly the mission if the state of charge or the power reserve is negative.
+
+The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it exceeds
+the other terms of e_m before the pack is empty, and e_m is then negative. For such constants, the
+flights are limited to e_m >= 0, because a negative voltage makes the greatest power negative.
 """
 
 from pyomo.core import (
@@ -277,11 +279,12 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
 
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
-    """Return the charge drawn from an unaged cell at the battery's present state of charge [A h].
+    """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
 
-    The result is the charge drawn from one cell, divided by the capacity factor of an aged battery.
-    This scaling is needed because the constants of eq. (5) hold for an unaged cell. `b` is the
-    block `battery`, and `t` the time in flight [s].
+    In an aged battery, the charge drawn from a cell is divided by the capacity factor, the capacity
+    of the aged cell over the capacity of an unaged cell. Eq. (5) uses the scaled charge, because
+    its constants hold for an unaged cell. `b` is the block `battery`, and `t` the time in flight
+    [s].
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -3,8 +3,8 @@
 symbol | name | unit | meaning
 U(x, y) | above | m | height of a smooth surface that is nowhere below the ground
 L(x, y) | below | m | height of a smooth surface that is nowhere above the ground
-z - U | height_limited_below | m | lower bound of the height above the ground, limited by a floor
-z - L | height_limited_above | m | upper bound of the height above the ground, limited by a ceiling
+z - U | height_limited_below | m | for a floor: at most the height above the ground
+z - L | height_limited_above | m | for a ceiling: at least the height above the ground
 
 z is the height coordinate of the vehicle. A floor is the least permitted height above the ground, a
 ceiling the greatest.
@@ -13,8 +13,9 @@ The ground of `airspace.terrain` is bilinear between the points of its grid. U a
 through values on the same grid; the module `scenario.surfaces` computes the values. Pyomo evaluates
 the splines through the class `collocation.Table`: they are twice differentiable with exact
 derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance
-between the ground and a surface, U or L, is at most the attribute `excess` of this surface. A
-vehicle at the floor above U is therefore at most `excess` higher above the ground than the floor.
+between the ground and a surface, U or L, is at most the attribute `excess` of this surface. Where
+z - U equals the floor, the height above the ground is at least the floor, and at most the floor
+plus `excess`.
 
 Over flat ground, both heights z - U and z - L equal z, and no block is declared.
 """

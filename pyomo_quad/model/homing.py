@@ -100,9 +100,9 @@ def terrain_key(scenario: Scenario) -> Hashable:
 
     A home is the start of the mission or a rally point. The model has the tables if the scenario
     has terrain and keeps charge for a return flight. A table gives the heights that clear the
-    ground on the straight way to its home. A new parameter value does not change a table, so a
-    compiled model is not valid for other homes. The result is therefore part of the key that the
-    function `structure_key` returns.
+    ground on the straight way to its home. New parameter values do not change the tables. A
+    compiled model is therefore valid only for the homes with which it was built. For this reason,
+    the key that the function `structure_key` returns includes the places of the homes.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None

@@ -7,10 +7,11 @@ The module declares the limits of eq. (10) of the paper (Yacef et al.), with two
 - The rotor accelerations are limited, too. Without this limit, the problem with the paper's
   efficiency function has no minimum.
 
-The scenario's field `limits.reserve` is the fraction of the largest rotor speed and thrust that a
-plan leaves to the controller. A motor with lag accelerates its rotor by at most (rotor_speed_max -
-speed) / time constant. The reserve is declared only if `limits.reserve` is not zero. The limit by
-the lag is declared only if the time constant of the motor is not zero.
+The scenario's field `limits.reserve` is a fraction of the largest rotor speed and thrust. A plan
+leaves this fraction to the controller. The reserve is declared only if the fraction is not zero.
+
+A motor with lag accelerates or brakes its rotor by at most (rotor_speed_max - speed) / time
+constant. This limit is declared only if the time constant of the motor is not zero.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt

@@ -175,8 +175,8 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 
     The chosen times are the duration, if the duration is free, the passage of each waypoint and the
     end of each hover at a waypoint. The nominal time of a variable is the value that `scenario`
-    prescribes or estimates for it. The time set of the model `m` contains the nominal time in place
-    of the variable. Keys of the result are the nominal times, values the variables.
+    prescribes or estimates for it. In the time set of the model `m`, this number stands for the
+    variable. Keys of the result are the nominal times, values the variables.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -423,10 +423,10 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
-    Models for replanning in flight use this end condition. In wind, a vehicle at rest with a level
-    attitude is not in equilibrium, because the wind accelerates it. The vehicle can be at rest and
-    level for an instant only, while its attitude swings through level. If the actual wind differs
-    from the planned wind, the vehicle is not even at rest at this instant.
+    Models for replanning in flight use this end condition. The level hover is not an equilibrium in
+    wind: the wind accelerates a level vehicle. A plan in wind can therefore be level and at rest at
+    a single instant only, while the tilt passes through zero. If the actual wind differs from the
+    planned wind, the vehicle is not at rest even at this instant.
 
     Parameters
     ----------

@@ -21,8 +21,9 @@ momentum | induced, profile and axial power, in moving air | yes | yes
 
 By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
 `momentum`. The energy balances of these models hold for either direction of the energy flow. In the
-two models with an efficiency, braking returns no energy by default: braking power divided by an
-efficiency would return more energy than braking absorbs.
+two models with an efficiency, braking returns no energy by default. These models divide the shaft
+power by the efficiency. With regeneration, braking would therefore return more energy than it
+absorbs.
 
 Alternating acceleration and braking of the rotors saves no energy, except in the model
 `efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
@@ -356,9 +357,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
     The motor's torque includes dry and viscous friction. The current follows from this torque, and
     the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
-    convex in the rotor acceleration, but not in thrust: because of the friction, the power rises
-    less steeply as a small thrust increases. The published friction constants seem ten times too
-    high: hover takes 1.3 kW.
+    convex in the rotor acceleration, but not in thrust. At small thrust, the slope of the power
+    over the thrust decreases as the thrust increases. The friction is the cause. The published
+    friction constants seem ten times too high: hover takes 1.3 kW.
 
     Parameters
     ----------

@@ -19,12 +19,14 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
 MIL-HDBK-1797 gives half the lengths of MIL-F-8785C, but uses twice the length in the filters. At
 low altitude the two specifications therefore give the same spectra.
 
-A gust changes by itself in a time of about L / sigma (Tennekes and Lumley, 1972, section 1.5).
-Gusts are frozen (Taylor's hypothesis) only for a vehicle that crosses them in less than this time.
-Therefore V is the airspeed, but at least sigma_u. The axes of the gusts are horizontal and
-vertical, as in the specification at low altitude. They keep the direction of the mission's mean
-relative wind: axes along the airspeed would turn the gusts whenever the vehicle turns. Turbulence
-acts on simulated flights only; no plan includes turbulence.
+V is the airspeed, with the lower limit sigma_u. The reason for the limit is that the filters treat
+gusts as frozen (Taylor's hypothesis). But a gust changes by itself in a time of about L / sigma
+(Tennekes and Lumley, 1972, section 1.5). The hypothesis holds only if the vehicle crosses the gust
+in less time, L / V < L / sigma, that is, only for V > sigma.
+
+The axes of the gusts are horizontal and vertical, as in the specification at low altitude. They
+keep the direction of the mission's mean relative wind: axes along the airspeed would turn the gusts
+whenever the vehicle turns. Turbulence acts on simulated flights only; no plan includes turbulence.
 """
 
 from collections.abc import Callable, Sequence

@@ -269,9 +269,9 @@ def _is_single_term(node: NumericValue) -> bool:
 
 
 def _is_unit(node: NumericValue) -> bool:
-    """Return whether a factor is a unit, or a product of units, with the value one.
+    """Return whether a factor is a unit, or an expression of units whose value is one.
 
-    Typeset equations leave units out.
+    Typeset equations leave such a factor out.
     """
     if isinstance(node, _PyomoUnit):
         return True

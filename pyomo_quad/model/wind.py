@@ -16,13 +16,14 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 h is the vehicle's height above the ground. Over flat ground, h is z. Over terrain, h is the height
 over a smooth surface that is nowhere below the ground (see `model.ground`).
 
-Neither law is valid below a lowest height, the larger of 0.1 m and z_0. The wind is constant there:
-the laws use a smooth maximum of h and the lowest height. The maximum increases with h. Half a metre
-above the lowest height and higher, it equals h to 1e-12 m.
+Both laws are valid only above a lowest height: 0.1 m or z_0, whichever is larger. Below the lowest
+height, the wind is constant. To this end, both laws use a smooth maximum of h and the lowest height
+in place of h. The smooth maximum increases with h. From half a metre above the lowest height
+upwards, it equals h to 1e-12 m.
 
 A wind measured over heights is a cubic spline through the measurements. Below the lowest and above
-the highest measurement the wind is constant, with a smooth transition. The measurements are at
-heights above the ground, but the heights of a wind field are coordinates z.
+the highest measurement the wind is constant, with a smooth transition. The heights of the
+measurements are heights above the ground. In a wind field, heights are coordinates z.
 
 A wind measured over time is a cubic spline in the wind time through the measurements. After the
 last measurement the wind is constant. The wind is twice differentiable at any time, so that the
@@ -299,8 +300,8 @@ def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
 
     The result has every mutable parameter of block `wind` that is a speed. The value is zero; for a
     parameter over time, the value is a function of time that returns zero. Parameters that a user
-    has added to the block are included. A wind that does not depend on such speeds is not set to
-    zero. `m` is the mission's model.
+    has added to the block are included. If the equations of a wind contain no such parameter, the
+    result does not change this wind. `m` is the mission's model.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -497,9 +498,10 @@ class _OverTime:
     """Wind speed measured over time, as a spline that a Pyomo model can evaluate.
 
     The speed is the wind along one axis. The cubic spline over time passes through the measured
-    speeds. After the last measurement, the speed is constant, with a smooth transition. For a wind
-    measured over time and height, the class is used with a coefficient of the spline over height
-    instead of a speed.
+    speeds. After the last measurement, the speed is constant, with a smooth transition.
+
+    A wind measured over time and height is a spline over height. Each coefficient of this spline
+    depends on time. For such a wind, the class represents one coefficient instead of a speed.
 
     Parameters
     ----------

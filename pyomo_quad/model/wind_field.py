@@ -13,10 +13,10 @@ because a spline needs a value everywhere.
 
 The scenario's field `wind.beyond` selects what happens where the field has no wind.
 
-With "refuse", the default, flights are permitted only where the wind is known. Outside of the grid
-the spline has no meaning, and its values could seem favourable. The module `model.airspace`
-therefore limits flights to the edges of the grid. A flight is refused if the nearest grid point of
-one of its places has no wind. The function `unknown_wind` writes the message.
+With "refuse", the default, flights are permitted only where the wind is known. The module
+`model.airspace` keeps flights inside the grid. Outside of the grid the values of the spline have no
+meaning, but could seem favourable to the optimisation. A flight is also refused if it passes a
+place whose nearest grid point has no wind. The function `unknown_wind` writes the message.
 
 With "hold", the nearest known wind is used, and flights may leave the grid. Outside of the grid the
 wind of the border blows, because the vehicle's place is clipped smoothly to the grid. Inside of the

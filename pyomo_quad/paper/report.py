@@ -171,14 +171,14 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the bound on the rotor acceleration that the printed optimum of Yacef et al. implies.
+    """Return the bound on the rotor acceleration at which the least energy is the printed energy.
 
-    At the returned bound [rad/s²], the least energy of any flight equals the energy that Yacef et
-    al. print for their optimal flight. `study` holds the least energy for several bounds on the
-    absolute rotor acceleration. The result is interpolated between these bounds.
+    The printed energy is the energy that Yacef et al. print for their optimal flight. The least
+    energy of any flight depends on the bound on the absolute rotor acceleration. `study` holds the
+    least energy for several bounds. The result is interpolated between these bounds [rad/s²].
 
-    The efficiency f_r of motor and rotor is a polynomial here, without the lower limits on torque
-    and efficiency that our model adds.
+    The least energies are computed with the efficiency f_r of motor and rotor as a bare polynomial.
+    The lower limits on torque and efficiency, which our model adds, are left out.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -247,8 +247,9 @@ def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     Returns
     -------
     dict
-        Comparison under the motors' electrical power: a table row, as value by column name. The
-        further item `by_efficiency_percent` is the saving under the power model with f_r [percent].
+        Table row of the comparison under the motors' electrical power: value of each column by its
+        name. The item `by_efficiency_percent` is added to the row: the saving under the power model
+        with f_r [percent].
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

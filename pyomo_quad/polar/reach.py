@@ -64,8 +64,8 @@ class Reach:
         Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
         One row for each course: course [deg from x, counter-clockwise], and distance and position
-        of the boundary [m]. A further column tells whether the wind field or the terrain ends
-        before the usable charge does.
+        of the boundary [m]. A further column tells whether the boundary is the end of the wind
+        field or of the terrain. At such a boundary, usable charge is left.
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
@@ -174,8 +174,8 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve
-        Power and endurance over airspeed in calm air. The computed current also depends on its
-        airspeed of least energy per metre.
+        Power and endurance over airspeed in calm air. The function `climb_current` needs the
+        airspeed of least energy per metre, which this curve gives.
     """
     if scenario.airspace.ground is None:
         return 0.0

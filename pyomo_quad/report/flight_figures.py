@@ -119,8 +119,9 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    Further panels show the relaxation voltage (slow part of the voltage drop) and the temperature
-    of the battery. A further panel is drawn only if the tables of all flights have its column.
+    Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature
+    of the battery. Each of these two panels is drawn only if the tables of all flights have the
+    column that the panel shows.
 
     Parameters
     ----------

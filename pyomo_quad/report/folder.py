@@ -275,7 +275,8 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     The new folder is complete. It has a hidden name that contains "ready", beside the final folder.
     This function renames the old folder to `aside`, then the new folder to `final`. A run may be
     killed between the two renamings. The next run then calls this function again and finishes the
-    replacement. Nothing is done without a hidden folder that a run of this package made.
+    replacement. Nothing is done if the hidden folder does not exist, or if it was not made by a run
+    of this package.
 
     Parameters
     ----------
