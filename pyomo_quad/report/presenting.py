@@ -104,18 +104,20 @@ def refuse_other_endings(file: Path, name: str) -> None:
 def chosen_drawing(
     offered: Iterable[Drawing], flight: "StyledFlight", what: str, name: str
 ) -> Drawing:
-    """Find a figure by its name, or make the figure of one column of a flight's table.
+    """Return the figure with a given name: one of the offered figures, or a column over time.
+
+    If no offered figure has the name, the column of that name in the flight's table is drawn.
 
     Parameters
     ----------
     offered : iterable of Drawing
         Figures to choose from.
     flight : StyledFlight
-        Flight whose columns may be drawn instead.
+        Flight with the table of columns.
     what : str
         Name of a figure or of a column.
     name : str
-        Argument or option that gave `what`, for the message.
+        Argument or option that gave `what`, for the error message.
 
     Raises
     ------

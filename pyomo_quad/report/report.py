@@ -158,7 +158,7 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
 
 @dataclass(frozen=True, kw_only=True)
 class RunRecord:
-    """Results of a run that its report folder keeps: summary and comparison of the flights.
+    """Results of a run, as stored in its report folder: summary and comparison of the flights.
 
     Attributes
     ----------
@@ -302,11 +302,11 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """Climb whose potential energy exceeds all the energy that the flight uses above hovering.
+    """Physically impossible climb: it adds more energy than the flight uses above hovering.
 
-    Energy above hovering is the energy of the flight less the energy of hovering for the same time.
-    Such a climb is physically impossible. The cause is a power model that does not depend on the
-    airspeed. The report warns of the climb.
+    The climb adds potential energy. Energy above hovering is the energy of the flight less the
+    energy of hovering for the same time. Such a climb occurs if the power model does not depend on
+    the airspeed. The report warns of the climb.
 
     Attributes
     ----------
@@ -332,8 +332,8 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
     goal is not above the start. In three cases the energies are not compared, and the result is
     None:
 
-    - The power model is `momentum` or a user's own Pyomo model. The power may then depend on the
-      airspeed and so include the energy of the climb.
+    - The power model is `momentum` or a user's own Pyomo model. Such a power model may depend on
+      the airspeed. The energy of the plan may then include the energy of the climb.
     - The mission releases parcels on the way. The parcels do not climb to the goal.
     - The controls of the plan were not simulated, for example because the solve failed.
     """
@@ -402,9 +402,9 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
         Four values by key. `path_m`: path length [m]. `battery_percent`: charge used [percent].
         `charge_minutes` and `charge_m`: flight time [minutes] and distance [m] on a full charge.
         If the table has no column of the charge, `battery_percent` is None, and the keys
-        `charge_minutes` and `charge_m` are absent. If the plan's controls were not simulated, for
-        example because the solve failed, these two keys are absent too, `battery_percent` is None
-        and `path_m` is 0.
+        `charge_minutes` and `charge_m` are absent. The plan's controls may not have been simulated,
+        for example because the solve failed. Then `path_m` is 0, `battery_percent` is None, and
+        the keys `charge_minutes` and `charge_m` are absent.
     """
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
@@ -532,7 +532,7 @@ def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator
     Parameters
     ----------
     listed : callable
-        Function that receives the module `gallery`, calls one of the module's functions and
-        returns the resulting figures.
+        Function that returns the figures. Its argument is the module `gallery`, whose functions
+        make figures.
     """
     yield from listed(_gallery())

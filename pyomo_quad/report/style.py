@@ -489,8 +489,8 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
     """Return whether flights have equal durations, apart from rounding errors.
 
-    Figures compare the energy of a flight with the energy of hovering for the same duration. A
-    single value of this hover energy applies to all flights only if their durations are equal.
+    Figures compare the energy of a flight with the energy of hovering for the flight's duration. If
+    the durations are equal, all flights are compared with one value of the hover energy.
     """
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 

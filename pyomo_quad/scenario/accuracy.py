@@ -36,8 +36,8 @@ class Figures:
     ----------
     energy : float
         Relative tolerance of the plan's energy compared with the least energy, and of the simulated
-        energy compared with the plan's energy. Mesh refinement stops at a collocation error of the
-        states of this size.
+        energy compared with the plan's energy. Mesh refinement stops when the collocation error of
+        the states is at most this tolerance.
     miss : float
         Largest deviation of the simulated final state from the mission's goal, and of the simulated
         position from each waypoint. The simulation has no feedback. The tolerance applies to each
@@ -47,9 +47,9 @@ class Figures:
         Largest violation of a limit between collocation points, divided by the limit's magnitude.
         A magnitude below 1 counts as 1.
     turning : float
-        Largest rate of turn [rad/s] in a mission that keeps the heading constant. A brief slow turn
-        changes neither the path nor the energy. The level `quick` therefore tolerates about three
-        degrees per second, and the level `standard` about half a degree per second.
+        Largest rate of turn [rad/s] in a mission that keeps the heading constant. The level `quick`
+        tolerates about three degrees per second, and the level `standard` about half a degree per
+        second. These rates are harmless: a brief slow turn changes neither the path nor the energy.
     intrusion : float
         Largest distance [m] by which the flight may enter the clearance of a keep-out zone, fall
         below the floor, rise above the ceiling or leave the fence. For these limits the smaller of

@@ -52,13 +52,13 @@ class Ball(NamedTuple):
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
         interval along the normal of a polygon's edge.
     centre : tuple of float
-        Coordinates of the centre [m], one for each member of `axes`. For an interval along a
-        normal, the single coordinate along the normal.
+        Coordinates of the centre [m], one for each member of `axes`. An interval along the normal
+        of a polygon's edge has one coordinate: the component of its centre along the normal.
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None
-        Normal of a polygon's edge, as a horizontal unit vector, for an interval along the normal.
-        None for all other balls.
+        Horizontal unit vector normal to a polygon's edge. It gives the direction of an interval
+        along this normal. None for all other balls.
     """
 
     axes: tuple[int, ...]
@@ -67,7 +67,7 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places that decide whether the places are in the ball.
+        """Return the coordinates of places in which the distance from the centre is measured.
 
         The coordinates are x, y and z for a sphere, and x and y for a vertical cylinder without
         ends. An interval, that is, the space between two parallel planes, has a single coordinate:
@@ -424,10 +424,10 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface of heights from which a straight flight home clears the terrain.
+        """Return a smooth surface of heights at which a straight flight home clears the terrain.
 
-        The height of the surface at a place is at least the greatest height of the ground below the
-        straight horizontal line from the place to the home.
+        The flight home is horizontal and may start at any place. The surface at this place is at
+        least as high as the highest ground below the straight line from the place to the home.
 
         Parameters
         ----------

@@ -111,8 +111,9 @@ class Part(BaseModel):
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
-        A field that is newer than some stored records is left out if its value is the default.
-        An unchanged scenario therefore has the same record as in earlier versions of the package.
+        The record has all fields, with one exception. A field that earlier versions of the package
+        did not have is left out if its value is the default. A scenario that does not use such a
+        field therefore has the same record in all versions.
 
         Parameters
         ----------
@@ -185,12 +186,13 @@ def quantity(
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether the field is newer than some records (stored scenarios). In a record without the
-        field, the field has its default. New records leave the field out if its value is the
-        default.
+        Whether the field was added after some records (stored scenarios) were written. A record
+        without such a field stands for the default. New records leave such a field out if its value
+        is the default.
     initial : object, optional
-        Value of the field in a scenario file without the field. If `initial` is given, `default`
-        applies only to records (stored scenarios) without the field.
+        Value that the field gets if a scenario file leaves the field out. If `initial` is given,
+        the default is used only for records (stored scenarios) without the field. If `initial` is
+        not given, the default is used for scenario files, too.
     unit_keys : mapping, optional
         Further keys of the field in a file, for other units. The value of a key is the factor from
         the key's unit to `unit`.

@@ -1,10 +1,12 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex. The model requires each place of the flight to be beyond at least one
-face of a zone. In a concave zone, a place could be beyond a face and yet inside the zone. A concave
-polygon is divided into convex zones NAME-1, NAME-2 and so on, without gaps between the zones. A
-concave fence is replaced by its convex hull. The parts of the hull outside the fence become
-keep-out zones fence-1, fence-2 and so on.
+Keep-out zones must be convex. The model keeps the flight out of a zone by this condition: each
+place of the flight is beyond at least one face of the zone. For a concave zone the condition is not
+enough, because a place inside the zone can be beyond one of its faces.
+
+A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, without gaps between the
+zones. A concave fence is replaced by its convex hull. The parts of the hull outside the fence
+become keep-out zones fence-1, fence-2 and so on.
 """
 
 import json

@@ -90,7 +90,8 @@ class Gridded(NamedTuple):
     axes : dict
         Ascending grid points of each axis, by name.
     components : ndarray, shape (n_components, ...)
-        Values, with one further array axis for each axis of the grid.
+        Values at the grid points. The first array axis is the component of the quantity. Each
+        further array axis is an axis of the grid.
     on_earth : tuple of str
         Names of the horizontal axes whose grid points are in degrees: "x" if the grid points of
         axis x are longitudes, and "y" if the grid points of axis y are latitudes. Empty if both

@@ -66,8 +66,9 @@ def complaints(
     prefix : tuple, optional
         Path of the table in the file, put before the paths in messages.
     spared : sequence of tuple, optional
-        Paths below which missing and contradictory fields are not reported. The values of these
-        fields come from a file or library entry that has already caused an error.
+        Paths of tables and fields that are incomplete, because a file or library entry has already
+        caused an error. At and below these paths, missing and contradictory fields are not
+        reported again.
 
     Returns
     -------
@@ -178,10 +179,10 @@ def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[Fiel
 def declared_place(
     model: type[BaseModel], place: Sequence[str | int]
 ) -> tuple[type[BaseModel], str]:
-    """Find the innermost table on a path of a scenario, and the unit of the last field on the path.
+    """Return the innermost table on the path of a field, and the unit of the field.
 
-    For the path `mission.goal.position[2]` the innermost table is `goal`, and the last field is
-    `position`. Error messages use the result: they name the unit and other fields of the table.
+    For the path `mission.goal.position[2]` the innermost table is `goal`, and the unit is that of
+    the field `position`. Error messages state the unit, and suggest other fields of the table.
 
     Parameters
     ----------
@@ -193,7 +194,7 @@ def declared_place(
     Returns
     -------
     tuple of (type, str)
-        Model class of the innermost table, and unit string of the last field.
+        Model class of the innermost table, and unit string of the field.
     """
     table, unit = model, ""
     for step in place:

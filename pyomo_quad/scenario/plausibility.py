@@ -130,8 +130,9 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     Each remark is a text for the user. There are at most two.
 
     The remark on the motors concerns the product of torque constant [N m/A] and voltage constant
-    [rad/s/V]. The product is 1, because a motor conserves energy. The remark is made if the product
-    differs from 1 noticeably, but by no more than rounding of the two constants explains.
+    [rad/s/V]. A motor conserves energy, and its product is 1. The remark is made if the product of
+    the given constants differs noticeably from 1, but rounding of the constants can explain the
+    difference.
 
     The remark on the rotors concerns their figure of merit: ideal power divided by shaft power in
     hover. The remark is made if the figure of merit is unusually high.
@@ -175,8 +176,8 @@ def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float
     """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
     In the motor model, a motor creates power if torque constant times voltage constant exceeds 1.
-    The copper loss of the motor grows faster with the speed than the created power. The copper loss
-    exceeds the created power above the returned speed.
+    The motor also has a copper loss, which grows faster with the speed than the created power. At
+    the returned speed, the copper loss equals the created power. Above it, the loss is greater.
 
     Parameters
     ----------

@@ -658,9 +658,11 @@ class _Filled:
         """Add the values of the library entry that a table of the scenario names by its key `use`.
 
         The key `use` may also name a user's own file with the structure of a library entry. Without
-        this key, a default entry is added. The default battery is the pack that the vehicle's entry
-        names. A stored scenario already contains the values of its entries. Nothing is then added,
-        except if an override changes `use`.
+        this key, a default entry is added. The default entry of a battery is the battery pack that
+        the vehicle's entry names.
+
+        A stored scenario already contains the values of its library entries. For a stored scenario
+        the function adds values only if an override changes the key `use`.
 
         Parameters
         ----------
@@ -782,9 +784,10 @@ class _Filled:
         A stored, complete scenario may already contain the heights. The file is then not read
         again.
 
-        The function also sets a missing floor, `airspace.floor`, the least allowed height above the
-        ground. The missing floor is set to `airspace.clearance`, the least allowed distance from
-        keep-out zones. It is 0 if the clearance is missing, too.
+        The function also sets the floor, `airspace.floor`, if it is missing. The floor is the least
+        allowed height above the ground. Its value becomes the clearance, `airspace.clearance`,
+        which is the least allowed distance from keep-out zones. If the clearance is missing, too,
+        the floor becomes 0.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)

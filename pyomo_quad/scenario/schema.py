@@ -303,9 +303,9 @@ class Scenario(Part):
         The tuple holds two times for each waypoint in order: the arrival at the waypoint and the
         departure from it. The last number is the end time of the flight.
 
-        A leg is the flight from one place (start, waypoint or goal) to the next. The least time of
-        a leg has full acceleration over the first half and full deceleration over the second half.
-        The estimated time of the leg is twice the least time.
+        A leg is the flight from one place (start, waypoint or goal) to the next. The vehicle needs
+        the least time for a leg if it accelerates fully over the first half and decelerates fully
+        over the second half. The estimated time of the leg is twice this least time.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -332,9 +332,10 @@ class Scenario(Part):
         """Whether the plan keeps the heading constant throughout the flight.
 
         The field `mission.yaw` decides, if it is given. By default the heading is constant if the
-        power model is `momentum`, the attitude kinematics are exact and no turn is prescribed. In
-        this power model a turn costs nearly nothing, so that the best heading is not unique.
-        Autopilots keep the heading constant, too.
+        power model is `momentum`, the attitude kinematics are exact and no turn is prescribed.
+
+        Without this rule the best heading would not be unique, because a turn costs almost no
+        energy in the power model `momentum`. A constant heading is also usual for autopilots.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -532,9 +533,9 @@ class Scenario(Part):
 def _meaning(name: str) -> str:
     """Return the meaning of a vehicle's field in a few words, for error messages.
 
-    `name` is the name of the field. The result is the part of the field's description between the
-    last colon and the next comma. Without a colon it begins at the start, without a comma it ends
-    at the end.
+    `name` is the name of the field. The result is a part of the field's description. The part
+    begins after the last colon, or at the start of a description without a colon. The part ends
+    before the next comma, or at the end of the description.
     """
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]

@@ -6,8 +6,9 @@ below the ground, or nowhere above it.
 A surface above the ground is constructed from the spline through the heights. In each cell of the
 grid, spline minus ground is a polynomial. The least Bernstein coefficient of the polynomial is a
 lower bound of its values. If this bound is negative, all B-spline coefficients that influence the
-cell are raised by the magnitude of the bound. Bernstein coefficients are averages of B-spline
-coefficients and rise with them, so that none remains negative.
+cell are raised by the magnitude of the bound. Each Bernstein coefficient of the spline is an
+average of B-spline coefficients, and therefore rises by at least the same amount. No Bernstein
+coefficient of spline minus ground remains negative.
 
 A surface below the ground is the mirror image of a surface above the mirrored ground. Mirroring
 multiplies the heights by -1.
@@ -286,7 +287,9 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return the greatest value among the cells that each spline coefficient influences.
+        """Return one value for each spline coefficient: the greatest value of certain cells.
+
+        These are the cells in which the spline depends on the coefficient.
 
         Parameters
         ----------

@@ -57,9 +57,10 @@ def _volume(*rows: Sequence[float]) -> float:
     Parameters
     ----------
     *rows : sequence of float
-        Three vectors, each with one number for each rotor: the rotors' coordinates along body x and
-        along body y, as fractions of the largest arm, and their directions of rotation, 1 or -1.
-        The three numbers of a rotor are proportional to its moments about the body axes.
+        Three vectors, each with one number for each rotor. The first and the second vector hold the
+        rotors' coordinates along body x and along body y, as fractions of the largest arm. The
+        third vector holds the rotors' directions of rotation, 1 or -1. The three numbers of a rotor
+        are proportional to its moments about the body axes.
     """
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows

@@ -496,9 +496,9 @@ def with_air_density(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        Tables of the complete scenario from which `tables` was copied and changed. The coefficients
-        in `tables` refer to the air density of `before`. None for a new scenario, whose
-        coefficients refer to the air density at sea level.
+        Tables of the complete scenario, if `tables` is a changed copy of its tables. The
+        coefficients in `tables` are then valid at the air density of that scenario. None for a new
+        scenario, whose coefficients are valid at the air density at sea level.
     provenance : dict
         Origin of each value by dotted path. The function changes the origins of scaled values.
 
@@ -537,11 +537,12 @@ _DRAG = (
 def with_coupling(
     tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Set how the wind acts on the vehicle (the wind's coupling) if the scenario does not give it.
+    """Set the default of the wind's coupling, that is, of how the wind acts on the vehicle.
 
-    By default the wind acts through the drag, which depends on the airspeed. A vehicle without drag
-    coefficients would not feel the wind. Its default coupling is the acceleration of eq. (9) of
-    Yacef et al. as printed. The forecast has the coupling of the wind by default.
+    By default the wind acts through the drag, which depends on the airspeed. Through the drag, the
+    wind would not act on a vehicle without drag coefficients. For such a vehicle the default
+    coupling is the acceleration of eq. (9) of Yacef et al. as printed. By default the wind of the
+    forecast has the same coupling as the actual wind. Couplings that the scenario gives are kept.
 
     Parameters
     ----------

@@ -43,8 +43,9 @@ def read_wind_file(
     longest : tuple of str and object
         Dotted path and value [s] of the scenario field that limits the duration of the mission.
     time_offset : object
-        Time in the file [s] at which the mission starts. The validation of the scenario, a later
-        step, refuses a duration or offset that is not a number.
+        Time in the file [s] at which the mission starts. If the duration or this time is not a
+        number, the function does not check that the wind covers the mission. The validation of the
+        scenario refuses such values later.
 
     Returns
     -------

@@ -29,9 +29,10 @@ def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw the distance of simulated flights from their plan over time.
 
     RotorPy's model differs from the package's own model in several features. Each line is one
-    flight in RotorPy. Most lines have exactly one of the differences and show its effect. For
-    comparison, one line has no difference, and one has RotorPy's own defaults. The first panel has
-    flights without feedback, the second panel flights under the adaptive controller.
+    flight in RotorPy. In most of the flights, exactly one feature differs from the package's model,
+    and the line shows the effect of this feature. For comparison, no feature differs in one flight,
+    and one flight has RotorPy's own defaults. The first panel has flights without feedback, the
+    second panel flights under the adaptive controller.
 
     Parameters
     ----------

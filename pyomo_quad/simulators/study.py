@@ -367,9 +367,9 @@ class _Mission:
         name : str
             Name of the variant in the result table.
         path : ReferencePath
-            Trajectory that the controller follows.
+            Trajectory that the controller follows, as a function of time.
         followed : Reference
-            Reference trajectory from which `path` is made, for the result table.
+            Kind of this trajectory, such as the plan, as stated in the result table.
         stiffness : float, optional
             Factor on the controller's gains.
 
@@ -595,11 +595,13 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row compares a flight in RotorPy with an earlier flight of the package's own model along the
-    same reference trajectory. The earlier flight is under the same controller if there is one, and
-    otherwise under the adaptive controller. The row contains the difference of the two energies in
-    percent, and the distance between the two final positions. A flight of the package's own model
-    is compared with itself.
+    The row compares a flight in RotorPy with a flight of the package's own model along the same
+    reference trajectory. It contains the difference of the two energies in percent, and the
+    distance between the two final positions.
+
+    The flight of the package's own model comes before the flight in RotorPy in `flights`. If
+    possible, a flight under the same controller is chosen, and otherwise one under the adaptive
+    controller. A flight of the package's own model is compared with itself.
 
     Parameters
     ----------
@@ -612,8 +614,8 @@ def _rows(
     Yields
     ------
     dict, Flown, Flight or None
-        Values by column name, the description of the flight, and the simulated flight. The last is
-        None if the flight went out of control.
+        Values by column name, the description of the flight, and the simulated flight. The
+        simulated flight is None if the flight went out of control.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:

@@ -1,9 +1,10 @@
 """Vehicle files made from parameter sets of the simulator RotorPy.
 
-RotorPy's rotors are placed diagonally, two ahead and two behind; the package's rotors are on the
-body axes x and y. The vehicle is therefore turned by 45 degrees, so that its first rotor is ahead
-and its fourth rotor to the left. If the moments of inertia Ixx and Iyy differ, the turn creates a
-product of inertia of half their difference. This product of inertia is neglected.
+In RotorPy the rotors are placed diagonally, two ahead and two behind. In the package the rotors are
+on the body axes x and y. The parameters are therefore converted to body axes that are turned by 45
+degrees. In the turned axes, the first rotor is ahead and the fourth rotor is to the left. If the
+moments of inertia Ixx and Iyy differ, the turn creates a product of inertia of half their
+difference. This product of inertia is neglected.
 """
 
 from math import hypot

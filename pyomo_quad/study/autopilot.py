@@ -173,8 +173,8 @@ def _with_longest_wait(
 ) -> tuple[Scenario, Dynamics]:
     """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
 
-    The wait is the longest in `SETTLINGS_S`, a tuple of waiting times [s]. This flight is simulated
-    first, to find the time at which the vehicle arrives.
+    The wait is the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. The flight with the
+    long wait is simulated first, to find the time at which the vehicle arrives.
 
     Parameters
     ----------
@@ -188,8 +188,8 @@ def _with_longest_wait(
     Returns
     -------
     Scenario
-        The mission, with the duration and the passing times of waypoints of the flight with the
-        wait.
+        The mission with a fixed duration, which includes the wait, and with the times at which
+        the autopilot passes the waypoints.
     Dynamics
         Dynamics of the vehicle in this mission.
     """

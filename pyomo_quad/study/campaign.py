@@ -1,12 +1,12 @@
 """Campaign: missions repeated on each battery charge until no further flight is possible.
 
-A campaign uses one or more battery charges. On one charge, each flight starts with the battery as
-the flight before it ended: with the same state of charge, relaxation voltage and temperature. The
-previous plan of a mission is the initial guess for its next plan.
+A campaign uses one or more battery charges. On one charge, each flight starts with the state of
+charge, relaxation voltage and temperature that the battery has at the end of the flight before it.
+The previous plan of a mission is the initial guess for its next plan.
 
-The flights on one charge end before the first flight without a plan. A flight has no plan if it
-would leave less charge than the reserve, or if the voltage would fall below its limit. The battery
-does not rest between two flights on one charge, and it does not age.
+Flights are added on one charge as long as a plan exists for the next flight. No plan exists if the
+flight would leave less charge than the reserve, or if the voltage would fall below its limit. The
+battery does not rest between two flights on one charge, and it does not age.
 """
 
 from collections.abc import Iterator, Sequence
