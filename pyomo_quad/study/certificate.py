@@ -205,9 +205,10 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
         Weight of the first integral: 1 along each axis. The momentum balance gives the value of the
         integral (docs/theory/bound.md, eq. (2)).
     lever : ndarray, shape (n, 3)
-        Weight of the second integral along each axis, s: the distance that a change of the velocity
-        at each time adds until the end of the flight, divided by this change. The displacement from
-        start to goal gives the value of the integral (eqs. (3) and (4)).
+        Weight of the second integral along each axis, s. A change of the velocity at one of the
+        times adds a distance until the end of the flight. The weight is this distance, divided by
+        the change of the velocity. The displacement from start to goal gives the value of the
+        integral (eqs. (3) and (4)).
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -657,11 +658,11 @@ def _bound_of_places(
 def _has_places(
     scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
 ) -> bool:
-    """Return whether the lower bound that takes account of where each wind blows applies.
+    """Return whether the function `_bound_of_places` may be called for a mission.
 
-    The function `_bound_of_places` computes this lower bound on the energy of a mission in a wind
-    field. The bound applies if the mission meets four conditions. The mission has a single leg with
-    exact start and goal. A flight may not leave the field: the scenario's `wind.beyond` is not
+    That function computes a lower bound on the energy from the winds that blow at each place of a
+    wind field. It may be called if the mission meets four conditions. The mission has a single leg
+    with exact start and goal. A flight may not leave the field: the scenario's `wind.beyond` is not
     "hold". The winds of the field are horizontal and not all equal. The thrust `standing` is
     vertical.
 
@@ -774,10 +775,10 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    The values cover the allowed range of the rotor speed. The power may be negative. Some power
-    models replace a negative power by zero, because braking rotors return no energy. The values
-    here are taken before this replacement. The replacement can only increase the power. A lower
-    bound on the energy that is computed from the values here is therefore valid.
+    The values cover the allowed range of the rotor speed. The attribute `power` may be negative.
+    Some power models replace a negative power by zero, because braking rotors return no energy. The
+    attribute `power` holds the values before this replacement. It is never larger than the power of
+    the model. A lower bound on the energy that is computed from it is therefore valid.
 
     Attributes
     ----------
@@ -830,11 +831,12 @@ class _SteadyPower:
 
         Notes
         -----
-        Consider the curve of the power between two samples. A concave curve lies above the chord
-        through the two samples. A convex curve lies above the extension of the neighbouring chord.
-        The samples are lowered until the polygon through them lies below chord and extension. The
-        maximum over the lowered samples is therefore an upper bound on the maximum over all
-        thrusts.
+        The power is known at samples of the thrust. If the curve of the power is concave between
+        two samples, it lies above the chord through the two samples. If the curve is convex, it
+        lies above the extension of the neighbouring chord. The samples are lowered until the
+        polygon through them lies below the chord and below the extension. The polygon then lies
+        below the curve. A lower power gives a larger value of price * thrust - power. The maximum
+        for the polygon is therefore an upper bound on the maximum for the curve.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]

@@ -47,9 +47,10 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        Too little charge or power gives a caution only, because the battery's equations stay finite
-        when the battery is empty. A battery limit that every flight of the mission breaks gives a
-        finding of severity "impossible".
+        If the battery has too little charge or power for the mission, the finding is only a
+        caution. The solve is still possible, because the battery's equations stay finite for an
+        empty battery. If every flight of the mission breaks a limit on the battery, the finding has
+        the severity "impossible".
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
@@ -426,7 +427,7 @@ _ROUNDING = 1e-9
 def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """Return impossible demands and doubtful values of a mission, without solving it.
+    """Return what is impossible and what is doubtful in a mission, without solving it.
 
     Parameters
     ----------
@@ -441,7 +442,8 @@ def check_mission(
     Returns
     -------
     tuple of Finding
-        Impossible demands first. An empty result does not prove that a flight exists.
+        Findings in the order of their severity. The first are those which prove that no flight can
+        satisfy the mission. An empty result does not prove that a flight exists.
     """
     told = scenario.as_forecast()
     findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]

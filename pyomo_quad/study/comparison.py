@@ -173,8 +173,8 @@ def compare_flights(
     The method `owed_energy` of a `Plan` estimates the owed energy. The sum of the flight's energy
     and the owed energy is compared: excess over hovering, optimality gap and savings refer to this
     sum. The saving of the plan compared with a flight is (flight - plan) / flight, in per cent. The
-    table has two savings: of the sum, and of the part of the sum that exceeds the energy of
-    hovering.
+    table has two savings. The first is the saving of the sum. The second, the saving above hover,
+    is the saving of the part of the sum that exceeds the energy of hovering.
 
     Saving, lower bound and optimality gap are NaN for a flight that did not arrive or broke a
     limit, because the bound covers only flights that arrive within the limits. They are NaN also
@@ -185,10 +185,10 @@ def compare_flights(
     are NaN, too. The reason is that the plan was made for the forecast wind, whereas the other
     flights were simulated in the actual wind.
 
-    A flight whose duration differs from that of the mission has a bound only if the certificate
-    covers the flight's duration. It has no saving above hover, because hovering for another
-    duration takes another energy. No flight has a saving above hover if the plan takes less energy
-    than hovering, because the saving would exceed 100 %.
+    The duration of a flight may differ from the duration of the mission. Such a flight has a lower
+    bound only if the certificate covers the flight's duration. Its saving above hover is NaN,
+    because hovering for another duration takes another energy. If the plan takes less energy than
+    hovering, the saving above hover would exceed 100 %. It is then NaN for all flights.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
@@ -248,9 +248,9 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
     """Return whether the duration of a flight differs from the duration of the mission.
 
-    `duration_s` is the duration of the flight [s], and `scenario` is the mission. If the durations
-    differ, the energy of hovering for the mission's duration must be scaled to the duration of the
-    flight before it is subtracted from the energy of the flight.
+    `duration_s` is the duration of the flight [s], and `scenario` is the mission. The energy of a
+    flight is compared with the energy of hovering for an equal duration. If the durations of flight
+    and mission differ, the energy of hovering is therefore scaled to the duration of the flight.
     """
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
@@ -371,8 +371,8 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
     A solve is late if it took longer on this machine than the scenario's ``solve_time``, the time
     allowed for a solve. The table also counts the solves that took longer than the interval to the
-    next solve. Both counts use the measured times of the solves. The simulated flight itself may
-    have used the stated ``solve_time`` as the delay of each new plan.
+    next solve. Both counts use the measured times of the solves. In the simulated flight each new
+    plan takes effect after a delay. The delay is the measured time of the solve or ``solve_time``.
 
     Parameters
     ----------

@@ -172,12 +172,12 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row.
 
     `comparison` is the comparison table of the run, which has one row for each flight. A flight
-    qualifies if it arrived within the limits. The table then holds the energy saving of the plan
-    over the flight. The flight of the plan itself and the simulation of the plan's rotor commands
-    without feedback do not qualify. The first choice is the flight of the autopilot tuned for least
-    energy. The second choice is the flight under the controller along a smooth path (quintic
-    polynomial). The third choice is the flight of least energy among those that qualify. The result
-    is None if no flight qualifies.
+    qualifies if the table holds the energy saving of the plan over this flight. The table holds the
+    saving only for flights that arrived within the limits. Two flights do not qualify: the flight
+    of the plan itself, and the simulation of the plan's rotor commands without feedback. The first
+    choice is the flight of the autopilot tuned for least energy. The second choice is the flight
+    under the controller along a smooth path (quintic polynomial). The third choice is the flight of
+    least energy among those that qualify. The result is None if no flight qualifies.
     """
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]

@@ -8,7 +8,7 @@ velocity.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
-r_k | sum of the distances that the two ends of leg k may lie from their nominal places
+r_k | largest distance of the start of leg k from its nominal place, plus that of the end of leg k
 s_k | thrust that holds the vehicle still on leg k, against weight and the force of a steady wind
 p | price of thrust and momentum, W/N = J per N s
 y | price of velocity, J per m/s: m_k times p, linear in time on each leg
@@ -25,11 +25,15 @@ G_k = mean over the leg of p . s_k - P*(|p|).
 
 At a passage with a speed limit y may jump; this lowers the bound by the limit times |jump of y|.
 
-Let the T_k be free and only their sum be limited. With A_k >= 0, a price of time mu < G_k gives the
-lower bound sum of 2 sqrt(A_k (G_k - mu)) + mu (sum of T_k): a closed form, which holds for all
-passing times and durations. The closed form is the least value that the bound for fixed T_k takes
-over all T_k. The reason: at T_k = sqrt(A_k / (G_k - mu)) the two bounds are equal, and both have
-the slope mu in every T_k.
+The bound above is for fixed T_k. Now let the T_k be free, and only their sum be limited. Let
+A_k >= 0 on all legs, and let mu be a price of time below all G_k. A second bound is then
+
+sum over k of  2 sqrt(A_k (G_k - mu)) + mu T_k.
+
+The second bound depends on the T_k only through their sum. It therefore holds for all passing times
+and durations. It is never larger than the bound for fixed T_k. The reason: as functions of the T_k,
+the bound for fixed T_k is convex, and the second bound is linear. At T_k = sqrt(A_k / (G_k - mu))
+the two bounds are equal, and both have the slope mu in every T_k.
 """
 
 from __future__ import annotations
@@ -249,9 +253,10 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust for the start of the search, W/N. The first prices of
-            velocity are this price times the mass at the start of the flight, minus a multiple of
-            the displacement from the start. This difference makes the first bound finite.
+            Price (multiplier) of thrust for the start of the search, W/N. The search starts
+            from these prices of velocity: `price` times the mass at the start of the flight, minus
+            a multiple of the displacement from the start. These prices fall along the displacement
+            of each leg. Every A_k is then positive, and the first bound is finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(

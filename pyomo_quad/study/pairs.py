@@ -28,13 +28,14 @@ of the kinetic energy of the motion relative to air of velocity U, and the least
 winds too. The price of momentum is then p + eta (W - U). The least H over all pairs is a concave
 function of W. Its least value over the winds in a polyhedron is therefore found at a corner.
 
-P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The orientation
-in which the terms of the prices subtract most is known. Let q = w - eta s, and let ' denote the
-transpose. The sum of the subtracted terms that depend on the orientation is then the sum of the
-singular values of the matrix (u + f) p' + v q'. H is thus minimised over three numbers only: T, a
-and r. The computation uses the rotor speed as the first number instead of T; the equations give the
-thrust from the rotor speed. With the power model `momentum` the first number is the induced
-velocity. The model's balance of thrust and induced velocity then gives rotor speed and thrust.
+P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The subtracted
+terms of H depend on the orientation. For given T, a and r, H is least in the orientation in which
+the sum of these terms is largest. Let q = w - eta s, and let ' denote the transpose. The largest
+sum is then the sum of the singular values of the matrix (u + f) p' + v q'. H is thus minimised over
+three numbers only: T, a and r. The computation uses the rotor speed as the first number instead of
+T; the equations give the thrust from the rotor speed. With the power model `momentum` the first
+number is the induced velocity. The model's balance of thrust and induced velocity then gives rotor
+speed and thrust.
 
 The least H is bounded from below by branch and bound. A box is a range of the three numbers; the
 compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until
@@ -293,8 +294,8 @@ class Pairs:
         The search over pairs of thrust and airspeed covers airspeeds up to this limit. The limit is
         the smaller of two speeds. One is the speed limit in `scenario` plus the speed of the
         strongest wind. The other follows from the drag, see docs/theory/bound.md, eq. (22). The
-        result is infinite if the scenario has no speed limit and the drag does not reach the value
-        in the Notes at any airspeed.
+        result is infinite if the scenario has no speed limit and the drag is too small at every
+        airspeed.
 
         Notes
         -----
@@ -303,11 +304,13 @@ class Pairs:
         accelerate at airspeeds above A. The airspeed at rest is the speed of the wind. The speed
         that follows from the drag is therefore the greater of A and the speed of the wind.
 
-        If the wind differs from place to place, let U be the middle of the range of winds, and D
-        the greatest difference between a wind and U. Consider the speed of the vehicle relative to
-        air of velocity U. Above a certain value V, at least A + D, this relative speed cannot grow
-        in any wind of the range. The speed that follows from the drag is D plus the greater of V
-        and the size of U.
+        The wind may also differ from place to place. Let U be the middle of the range of winds, and
+        D the greatest difference between a wind and U. The relative speed is the speed of the
+        vehicle relative to air of velocity U. At rest, the relative speed is the size of U. There
+        is a value V, at least A + D, above which the relative speed cannot grow in any wind of the
+        range. The relative speed is therefore never above the greater of V and the size of U. The
+        airspeed exceeds the relative speed by at most D. The speed that follows from the drag is
+        therefore D plus the greater of V and the size of U.
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -365,14 +368,15 @@ class Pairs:
         return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
-        """Return the prices of one leg converted to the motion through the air in one wind.
+        """Convert the prices of one leg to the motion through the air in one wind.
 
         `prices` are the Lagrange multipliers of the changes of momentum, position and kinetic
-        energy on the leg. These prices refer to the kinetic energy of the motion relative to air of
-        velocity U, the middle of the range of all winds of the mission. `wind` is the wind that
-        blows, shape (3,) [m/s]. The returned prices refer to the kinetic energy of the motion
-        relative to `wind`. The price of kinetic energy times (wind - U) is added to the price of
-        momentum. The other prices are unchanged. Implements docs/theory/bound.md, eq. (20).
+        energy on the leg. `wind` is the wind that blows, shape (3,) [m/s]. Let U be the middle of
+        the range of all winds of the mission. In `prices`, the kinetic energy is that of the motion
+        relative to air of velocity U. In the result, the kinetic energy is that of the motion
+        relative to air of velocity `wind`. For this conversion, the price of kinetic energy times
+        (wind - U) is added to the price of momentum. The other prices are unchanged. Implements
+        docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -437,8 +441,8 @@ class Pairs:
             Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
             pair. The search is faster if this bound is close to G.
         tolerance : float
-            Each bound is at most this amount below the smaller of G and `above` [W]. The difference
-            can be larger if the search ends early because it has examined too many boxes (ranges of
+            Each bound is at most this amount below G [W]. A bound can be further below G if the
+            search ends early. The search ends early if it has examined too many boxes (ranges of
             pairs).
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
@@ -940,8 +944,9 @@ class _Program:
         which the method `prices` computes the multipliers on each leg.
 
         The program has constraints only for the pairs of thrust and airspeed that are known so far.
-        Up to a tolerance, no multipliers therefore prove a larger bound than the optimal value. The
-        search for multipliers ends when the largest bound found is close to the optimal value.
+        Constraints for all other pairs could only make the optimal value smaller. The optimal value
+        is therefore an upper limit, up to a tolerance, on the bounds that any multipliers prove.
+        The search for multipliers ends when the largest bound found is close to this limit.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)

@@ -3,11 +3,12 @@
 The bound of `study.pairs` assumes that the most favourable wind of the field blows everywhere. The
 bound of this module uses the winds that the field has at each place. A potential is a function of
 the horizontal position. A motion of the vehicle takes energy and gains potential. The gradient of
-the potential is limited by the following condition. In the winds of each place, the energy of any
-motion, minus terms for the changes of momentum and kinetic energy, must be at least the gained
-potential. Over a flight from rest to rest, the terms for these changes vanish. A lower bound on the
-energy of every flight, along any path, is therefore the rise of the potential from start to goal,
-plus terms for height and duration. Derivation: see docs/theory/bound.md, eqs. (23) to (27).
+the potential is limited by a condition on every motion in the winds of each place. From the energy
+of the motion, terms for the changes of momentum and kinetic energy are subtracted. The remainder
+must be at least the gained potential. Over a flight from rest to rest, the terms for these changes
+vanish. A lower bound on the energy of every flight, along any path, is therefore the rise of the
+potential from start to goal, plus terms for height and duration. Derivation: see
+docs/theory/bound.md, eqs. (23) to (27).
 
 A price is the Lagrange multiplier (dual variable) of the total change of momentum, position or
 kinetic energy over a flight, which the mission fixes. A pair is a combination of thrust and
@@ -211,16 +212,17 @@ class GradientTable:
         Parameters
         ----------
         prices : PlacePrices
-            Prices with which the table was computed; only the attribute `power` may differ.
+            Prices with which the table was computed. The attribute `power` may have another value,
+            because the table does not depend on it.
         winds : ndarray, shape (n, 2)
             Horizontal winds [m/s].
 
         Returns
         -------
         ndarray or None, shape (n, n_corners, 2)
-            Corners of the polygon of each wind, counter-clockwise [N, which is J/m]; the table's
-            directions and their mirror images give one corner each. None if the gradient zero is
-            not allowed in one of the winds.
+            Corners of the polygon of each wind, counter-clockwise [N, which is J/m]. The corners
+            lie in the directions of the table and in the mirror images of these directions. None if
+            the gradient zero is not allowed in one of the winds.
         """
         momentum = prices.offset[:2] + prices.motion * winds
         size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
@@ -525,9 +527,9 @@ class _Search:
         the function G. G is a least value over all combinations of thrust and airspeed. The
         minimised quantity is the power in still air minus three terms: the rates of change of
         momentum, position and kinetic energy, each times its price. To save time, the lower bounds
-        are computed only for the gradient zero and near the largest gradients that sampled values
-        of G allow. The result is minus infinity if even the gradient zero is not allowed in one of
-        the winds of the field.
+        are computed only for the gradient zero and for gradients near the largest allowed ones.
+        Sampled values of G tell approximately how large the allowed gradients are. The result is
+        minus infinity if even the gradient zero is not allowed in one of the winds of the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)

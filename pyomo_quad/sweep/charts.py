@@ -369,9 +369,9 @@ def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantit
     central case has the middle of the field's values.
 
     If the sweep has random fields, the bar of a field that is not random shows the quantity's mean
-    over the random draws. For the bar of a random field, a linear function is fitted to the
-    quantity. The bar is the function's range between the 5 % and 95 % quantiles of the field's
-    draws.
+    over the random draws. For the bar of a random field, a linear function of all random
+    fields is fitted to the quantity. The bar is the range of this function as the field varies
+    between the 5 % and 95 % quantiles of its draws.
 
     Parameters
     ----------

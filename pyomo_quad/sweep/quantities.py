@@ -142,8 +142,8 @@ def case_name(fields: Mapping[str, Any]) -> str:
     Parameters
     ----------
     fields : mapping
-        Value of each field to name, by its dotted path, without random fields. If it is empty, the
-        name is "the middle of the draws".
+        Value of each field to name, by its dotted path. Random fields are left out. The mapping is
+        empty if all fields that vary are random. The name is then "the middle of the draws".
     """
     parts = [f"{path} = {_with_unit(path, value)}" for path, value in fields.items()]
     return ", ".join(parts) or "the middle of the draws"

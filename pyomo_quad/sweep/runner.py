@@ -189,12 +189,12 @@ class Sweep:
                 ready += self._commit_all(outcomes)
 
     def _next_of(self, cases: list[Case]) -> list[Case]:
-        """Replace each of the given cases that has already ended by cases that have not ended.
+        """Return the cases that can be solved next: given cases, or descendants of given cases.
 
-        `cases` are the given cases. The children of a case are the neighbouring cases whose solves
-        start from the solution of this case. A case that has ended is replaced by its children. A
-        child that has ended is again replaced by its own children. In this way a resumed sweep
-        continues with cases whose parents ended in an earlier run.
+        `cases` are the given cases. A case that has not ended is returned. A case that has ended is
+        replaced by its children: the neighbouring cases whose solves start from the solution of
+        this case. A child that has ended is again replaced by its own children. In this way a
+        resumed sweep continues with cases whose parents ended in an earlier run.
 
         Returns
         -------

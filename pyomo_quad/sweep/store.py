@@ -456,7 +456,8 @@ class ResultStore:
 
         If the axes differ, the warm starts of the previous run are deleted. A warm start is a
         solution from which neighbouring cases start. With other axes, the cases have other
-        neighbours. Results would then depend on which warm starts the previous run had stored.
+        neighbours. If the warm starts were kept, the results would depend on which warm starts the
+        previous run had stored.
 
         Parameters
         ----------
