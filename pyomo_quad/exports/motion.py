@@ -157,8 +157,8 @@ class Motion:
     degrees : tuple of int
         Polynomial degree of each element, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        Whether the plan has no margins from its limits, because the scenario states no risk; see
-        `ProvenPlan`.
+        Whether the plan may fly exactly at its limits. It has margins if the scenario states the
+        risk, `mission.risk`, with which a flight in turbulence may break a limit. See `ProvenPlan`.
     """
 
     name: str

@@ -593,7 +593,9 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
-    """Return in words the basis of a bound from the least power over pairs of thrust and airspeed.
+    """Return in words how a bound on the energy was derived.
+
+    The bound is one that follows from the least power over all pairs of thrust and airspeed.
 
     Parameters
     ----------

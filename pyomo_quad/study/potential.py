@@ -173,23 +173,28 @@ class PlacePrices:
 
 @dataclass(frozen=True, kw_only=True)
 class GradientTable:
-    """Table of the function G over prices of momentum and gradients of a potential.
+    """Table of a function G that limits the gradient of a potential.
 
-    A potential is a function of the horizontal place. G is a least value over all combinations of
-    thrust and airspeed. The minimised quantity is the power in still air minus three terms: the
-    rates of change of momentum, position and kinetic energy, each times its price (Lagrange
-    multiplier). The gradient of the potential is the price of horizontal displacement. The rise of
-    a potential from start to goal gives a lower bound on the energy of flights only if its gradient
-    is limited. The method `gradients` computes these limits from G.
+    A potential is a function of the horizontal place. Its rise from start to goal is a lower bound
+    on the energy of flights if its gradient is limited. The method `gradients` computes the limits
+    from G.
+
+    Prices are Lagrange multipliers. The price of momentum and the gradient of the potential are
+    horizontal vectors; the gradient is the price of displacement. G is the least value of a power
+    over all combinations of thrust and airspeed. This power is the power in still air minus three
+    terms: the rates of change of momentum, position and kinetic energy, each times its price.
+
+    The table holds G for several magnitudes of the price of momentum, for several magnitudes of the
+    gradient, and for several angles between the two vectors.
 
     Attributes
     ----------
     sizes : ndarray, shape (n_sizes,)
-        Horizontal lengths of the price of momentum [W/N], increasing.
+        Magnitudes of the price of momentum [W/N], increasing.
     lengths : ndarray, shape (n_directions, n_lengths)
-        Lengths of the gradient [N], one row for each direction of the gradient, increasing from
-        zero. There are `_DIRECTIONS` directions, equally spaced over half a turn from the price of
-        momentum. The values over the other half turn follow by symmetry.
+        Magnitudes of the gradient [N], increasing from zero, one row for each angle. There are
+        `_DIRECTIONS` angles, equally spaced from 0 to half a turn. The values over the other half
+        turn follow by symmetry.
     values : ndarray, shape (n_sizes, n_directions, n_lengths)
         Values of G, or lower bounds on G [W].
     """
