@@ -1,7 +1,7 @@
-"""Names and amounts of limits (path constraints), in the form in which reports print them.
+"""Names of limits (path constraints), and the amounts by which flights exceed them, in words.
 
-Limits of the package's own model have names in words and familiar units; limits of a user's own
-model keep the names and units that the user gave them.
+Reports print these words. Limits of the package's own model have names in words and familiar units.
+Limits of a user's own model keep the names and units that the user gave them.
 """
 
 from math import sqrt

@@ -46,9 +46,9 @@ def solve_side_by_side(
     ----------
     mission : MissionProblem
         Compiled problem of the mission. Its progress callback, `mission.search`, receives two
-        results of each copy. One is the best usable plan: a plan that simulation confirms at lower
-        accuracy than requested. The other is the number of mesh points, summed over the iterations
-        of Ipopt.
+        things from each copy. One is the best usable plan: a plan that simulation confirms at lower
+        accuracy than requested. The other is a measure of the copy's work: the number of mesh
+        points, summed over the iterations of Ipopt.
     solves : sequence of callable
         Functions without arguments, each of which solves the problem of `mission`.
 
