@@ -82,7 +82,7 @@ JOBS = {
     ),
     "`delivery.toml`, standard": Job(
         wanted=8,
-        bound="105 iterations of 63 ms for three routes and three meshes; a third between the solves",
+        bound="105 iterations of 63 ms, three routes and three meshes; a third between the solves",
         scenario="delivery",
         told={"accuracy": "standard"},
     ),
@@ -97,7 +97,7 @@ JOBS = {
     ),
     "six waypoints, free duration": Job(
         wanted=3,
-        bound="75 iterations of 30 ms: Ipopt and callbacks take a third each, the rest the compilation",
+        bound="75 iterations of 30 ms: Ipopt and callbacks take a third each, compilation the rest",
         **_mission("six waypoints, free duration"),
     ),
     "free duration of the paper's mission, proof": Job(
