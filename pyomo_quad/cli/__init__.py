@@ -1,7 +1,7 @@
 """Command line `pyomo-quad`.
 
-The import of the commands takes up to a second. Handlers for signals such as Ctrl-C are therefore
-installed first.
+Handlers for signals such as Ctrl-C are installed before the commands are imported. The import takes
+up to a second; Ctrl-C then ends the process during the import, too.
 """
 
 from collections.abc import Sequence

@@ -108,10 +108,10 @@ def fly_declared(
     scenario : Scenario
         Mission and wind.
     reference : Reference or None
-        Reference trajectory that the adaptive controller follows. None applies the plan's controls
-        without feedback (open loop). `Reference.CRUISE` is a flight in the manner of an autopilot,
-        at the scenario's cruise speed. If the scenario gives none, the cruise speed with the least
-        energy is taken.
+        Reference trajectory that the adaptive controller follows. If the argument is None, the
+        plan's controls are applied without feedback (open loop). `Reference.CRUISE` is a flight in
+        the manner of an autopilot, at the scenario's cruise speed. If the scenario gives no cruise
+        speed, the cruise speed with the least energy is taken.
     plan : Plan or None
         Plan of the scenario; None if the flight needs no plan.
     """

@@ -20,7 +20,8 @@ _is_own = False
 def own_process() -> None:
     """Make the process of a command faster: one BLAS thread, rare garbage collection.
 
-    A number of BLAS threads that the user has set by an environment variable is kept.
+    If the user has set the number of BLAS threads by an environment variable, the number is not
+    changed.
     """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
@@ -34,8 +35,10 @@ def import_scipy_alone() -> None:
 
     When SciPy or matplotlib is first imported, import hooks of Pyomo import further modules that
     Pyomo may need later. This takes half a second each for SciPy and matplotlib. The function
-    removes the hooks, after the hook for NumPy has run. Pyomo then imports the modules only when it
-    uses them. In a process that also runs other code, such as tests, the function does nothing.
+    removes the hooks. Pyomo then imports the further modules only when it uses them. The hook for
+    NumPy still takes effect, because the function imports NumPy and Pyomo's hooks first.
+
+    In a process that also runs other code, such as tests, the function does nothing.
     """
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
         importlib.import_module("numpy")

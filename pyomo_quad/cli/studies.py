@@ -378,9 +378,11 @@ def _parameter_lines(
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
     If the measurements determine a parameter, its line says whether the value lies at the end of
-    the permitted range. If the measurements do not determine a parameter, the parameter keeps the
-    value that it had before the fit, and its line says so. The line also names the parameter with
-    the most similar effect on the power, if there is one.
+    the permitted range.
+
+    If the measurements do not determine a parameter, the parameter keeps the value that it had
+    before the fit. The line of this parameter says so. It also names the parameter with the most
+    similar effect on the power, if there is one.
 
     Parameters
     ----------

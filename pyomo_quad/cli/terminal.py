@@ -60,7 +60,7 @@ def claim_streams() -> bool:
     Returns
     -------
     bool
-        Whether standard output is open.
+        Whether standard output was open before the call.
     """
     for descriptor in (0, 1, 2):
         try:

@@ -146,8 +146,9 @@ def costates_of(
     multipliers : Multipliers
         Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of unknowns and constraints. The multiplier of a bound on a state at a single time is
-        left out of the adjoint equations.
+        Bounds of unknowns and constraints. A bound on a state may be imposed at a single time only.
+        The costate may then jump at this time. The multiplier of such a bound is left out of the
+        adjoint equations, which hold between the jumps.
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
@@ -253,11 +254,14 @@ def costate_errors_of(
 
     - Integration. `costates.at_points` results from adjoint equations with `costates.stages` on the
       right-hand side. The adjoint equations are integrated again, with `costates.at_points` on the
-      right-hand side. The error is twice the change of each costate.
+      right-hand side. The second result differs from the first. The error is twice this difference.
     - Jumps. A limit on a state may become active or inactive inside an element. The costates may
-      then jump at an unknown time in the element. The multiplier of the limit changes the costates
-      over the element. If this change is not smooth, the error is the whole change. If the change
-      is smooth, the error is the small part of it that a smooth polynomial does not fit.
+      then jump at an unknown time in the element. The multipliers of the limits cause a part of
+      the change of the costates over the element. A smooth polynomial is fitted to this part, and
+      the error is the residual of the fit. If the residual exceeds 2 % of this part, a jump is
+      possible, and the error is the whole part.
+
+    See docs/theory/transcription.md, eq. (13).
 
     Parameters
     ----------

@@ -402,22 +402,26 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
     that one component of the Pyomo model declares. Each family has one slack, an upper bound on the
     relative violation of each limit in the family.
 
+    For each limit on a constraint, the elastic program has an additional unknown: the relative
+    violation of this limit. The slack of the family is its upper bound. A limit on an unknown needs
+    no additional unknown. It becomes a constraint that contains the slack.
+
     Parameters
     ----------
     solution : Solution
         Result of the failed solve, with the original program. The solve of the elastic program
         starts from the unknowns of this result.
     soft : SoftRows
-        Limits that may be violated. Bounds on unknowns of the original program become constraints
-        of the elastic program.
+        Limits that may be violated.
     progress : callable or None
         Called at each iteration of Ipopt; returning False stops the solve.
 
     Returns
     -------
     IpoptResult
-        Ipopt's result. Its unknowns are, in this order: the unknowns of the original program; the
-        relative violation of each limit on a constraint; and the slack of each family.
+        Ipopt's result for the elastic program. Its unknowns are, in this order: the unknowns of the
+        original program; the relative violations of the limits on constraints; and the slacks of
+        the families.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

@@ -115,8 +115,9 @@ class Flight(Summarised):
         the time to compile, solve and verify the plan.
     owed_energy_J : float
         Energy needed to get from the flight's final state to the required final state [J]. It is
-        estimated from the costates of a plan. It is NaN without a plan, and for a plan that was
-        made for a forecast wind, because costates for one wind do not hold in another.
+        estimated from the costates of a plan. It is NaN in two cases: without a plan, and if the
+        plan was made for a forecast wind but the flight had the actual wind. Costates for one wind
+        do not hold in another wind.
     broken_limits : tuple of str
         Every limit that the flight violates by more than the tolerance, in words with the amount.
         The limits of the model (path inequalities and bounds) come first, in order of decreasing

@@ -114,9 +114,11 @@ def _first_usable(
     reaches the goal and keeps the limits, to wide tolerances: the flight may end half a metre from
     the goal.
 
-    Paths with different speeds and accelerations are tried in turn. A path that breaks no limit is
-    simulated. A path that breaks only limits of the airspace (zones, fence, floor, ceiling) is
-    followed by a path that stays closer to the route at corners. At most three paths are simulated.
+    Pairs of a speed and an acceleration are tried in turn. A path that breaks no limit is
+    simulated. For each pair there may be a second path, which stays closer to the route at corners.
+    The second path is tried if the first path breaks only limits of the airspace (zones, fence,
+    floor, ceiling), or if the simulation does not confirm the first path. At most three paths are
+    simulated.
 
     Parameters
     ----------
@@ -252,10 +254,10 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
     """Return the limits that the path of a plan breaks by too much for a simulation to succeed.
 
     `plan` is a plan whose vehicle is exactly on its path. Limits of the airspace, such as zones,
-    may be violated by 0.1 m, because the simulation can remove such a violation. For other limits,
-    only the small violations that interpolation causes are tolerated. The simulated flight is later
-    checked against wider tolerances. The path needs narrow tolerances, because feedback in the
-    simulation takes more thrust and tilt than the path.
+    may be violated by 0.1 m, because the simulation can remove such a violation. Other limits, such
+    as those on thrust and tilt, may be violated only by the small amounts that interpolation
+    causes. The reason is that feedback in the simulation adds thrust and tilt to those of the path.
+    The simulated flight itself is later checked with wider tolerances.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)

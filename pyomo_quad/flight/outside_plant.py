@@ -712,9 +712,10 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]
     boundaries of the plan's mesh elements.
 
     The attribute `plant.habits` may prescribe that the motors receive rotor-speed commands at a
-    fixed rate. In this case, the law adds a correction to the planned rotor acceleration. The
-    correction is the planned minus the actual rotor speed, divided by the time constant of the
-    motors. With it, the rotor-speed command does not depend on the actual rotor speed: it is the
+    fixed rate. The command is then the actual rotor speed, plus the time constant of the motors
+    times the rotor acceleration that the law returns. To make the command independent of the actual
+    rotor speed, the law adds a correction to the planned rotor acceleration. The correction is the
+    planned minus the actual rotor speed, divided by the time constant. The resulting command is the
     planned rotor speed plus the time constant times the planned acceleration.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)

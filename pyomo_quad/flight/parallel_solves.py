@@ -117,9 +117,11 @@ def _reduced(sent: object) -> Any:
 
     The copy and the original process both have the objects in the list `_SHARED`: the problem of
     the mission and its compiled form. If `sent` is one of these objects, only its index in the list
-    is sent. Any other object is sent as a whole. The result is a reduction as the module `pickle`
-    defines it: a function and its arguments. In the original process, `pickle` gets the object by
-    calling this function with these arguments.
+    is sent. Any other object is sent as a whole.
+
+    The result is a reduction as the module `pickle` defines it: a function and its arguments. In
+    the original process, `pickle` calls the function with the arguments to obtain the object. For
+    an object of the list, the function is `_shared` and the argument is the index.
     """
     for place, shared in enumerate(_SHARED):
         if sent is shared:

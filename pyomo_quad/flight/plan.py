@@ -448,10 +448,10 @@ class Plan(Summarised):
         simulated, for example because the solve failed.
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If feedback
-        corrected the controls after the solve, the error of the energy is also estimated: it is the
-        relative difference between the plan's energy and the least energy of the mission. The
-        larger of the two estimates is then used. As a rule, the energy of the uncorrected solution
-        is taken as the least energy.
+        corrected the controls after the solve, `error_estimate` is the larger of this estimate and
+        the estimated error of the energy. The error of the energy is the relative difference
+        between the plan's energy and the least energy of the mission. As a rule, the energy of the
+        solution before the correction is taken as the least energy.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -675,14 +675,15 @@ class Plan(Summarised):
     def owed_energy(self, final: Mapping[str, float]) -> float:
         """Estimate the energy still needed by a flight that ends off the goal [J].
 
-        Each state contributes its final costate times the deviation of its final value from the
-        planned final value.
+        The estimate is a sum over the states. Each state contributes its final costate times the
+        deviation of its final value from the planned final value.
 
-        Consider a mission that ends at the flight's final state. To first order, the estimate is
-        the energy that this mission saves compared with the planned mission. If the least energy is
-        a convex function of the final state, the saving is at most the estimate. The energy of the
-        flight plus the estimate is then at least the least energy of the planned mission. It is
-        also at least any lower bound on this least energy.
+        The least energy of a mission depends on the required final state. Let E be the least energy
+        to the planned final state, and E' the least energy to the flight's final state. The
+        estimate is the first-order approximation of E - E'. If the least energy is a convex
+        function of the final state, E - E' is at most the estimate. The flight spends at least E'.
+        The energy of the flight plus the estimate is then at least E, and also at least any lower
+        bound on E.
 
         Parameters
         ----------

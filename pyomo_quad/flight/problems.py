@@ -145,8 +145,9 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The result includes the limits of simulated flights. Plans leave some thrust unused, as a
-        reserve for the controller; simulated flights may use this reserve.
+        The equations include limits, such as the limits on thrust. The limits are those of
+        simulated flights, which differ from those of plans: a plan must leave some thrust unused,
+        as a reserve for the controller. A simulated flight may use this reserve.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):
@@ -165,8 +166,10 @@ class Problems:
         wind. If both have a fixed duration, they may also differ in the duration and in the
         settings of baseline flights (flights of a controller along a reference, for comparison).
 
-        The result is always False for a user's own model. It is also False for a wind measured over
-        time, because the model samples this wind at fractions of the duration.
+        The result is always False for a user's own model. It is also always False for a measured
+        wind (`scenario.wind.series`). The model samples a wind measured over time at fractions of
+        the duration. For another duration, the samples are therefore at other times of the
+        measurement.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         if built_for is None or not self.is_declared or scenario.wind.series is not None:
