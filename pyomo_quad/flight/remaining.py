@@ -4,10 +4,10 @@ A re-plan is a new plan for the rest of the mission, made in flight. It ends at 
 next hover at a waypoint. The mission after this hover is left out, because the flight after a hover
 does not affect the flight before it. The limits of a re-plan are soft: they may be violated at a
 penalty (see `model.soft_limits`). They are tightened by the margins of the plan made before
-take-off (see `flight.margins`). The mesh has short elements at the present time, where a disturbance is
-corrected, and near the passages of waypoints. Elsewhere the elements are long. The clearance from
-keep-out zones is three centimetres larger than the mission requires, to allow for the error of a
-coarse mesh.
+take-off (see `flight.margins`). The mesh has short elements at the present time, where a
+disturbance is corrected, and near the passages of waypoints. Elsewhere the elements are long. The
+clearance from keep-out zones is three centimetres larger than the mission requires, to allow for
+the error of a coarse mesh.
 
 The remaining mission after each waypoint has its own equations. They are compiled and solved once
 before take-off. For the penalty and the initial state of a re-plan, see docs/theory/soft_limits.md,
