@@ -176,7 +176,8 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
     plan : Plan
         Planned flight.
     folder : str or Path
-        Folder that appears when the report is complete; an earlier report there is replaced.
+        Folder of the report. It is made when the report is complete, and replaces the folder of an
+        earlier report.
     figures : str
         Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
     """
@@ -195,7 +196,8 @@ def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
     result : RunResult
         A plan with the baseline flights it is compared with.
     folder : str or Path
-        Folder that appears when the report is complete; an earlier report there is replaced.
+        Folder of the report. It is made when the report is complete, and replaces the folder of an
+        earlier report.
     figures : str
         Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
     """

@@ -305,8 +305,8 @@ class FreeClimb:
     """Physically impossible climb: it adds more energy than the flight uses above hovering.
 
     The climb adds potential energy. Energy above hovering is the energy of the flight less the
-    energy of hovering for the same time. Such a climb occurs if the power model does not depend on
-    the airspeed. The report warns of the climb.
+    energy of hovering for the same time. A plan can contain such a climb if the power model does
+    not depend on the airspeed. The report warns of the climb.
 
     Attributes
     ----------
@@ -327,10 +327,10 @@ class FreeClimb:
 def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if its potential energy exceeds the energy used above hovering.
 
-    Energy above hovering is the energy of the plan less the energy of hovering for the same time.
-    The result is None if the potential energy does not exceed the energy above hovering, or if the
-    goal is not above the start. In three cases the energies are not compared, and the result is
-    None:
+    Such a climb is physically impossible. Energy above hovering is the energy of the plan less the
+    energy of hovering for the same time. The result is None if the potential energy does not exceed
+    the energy above hovering, or if the goal is not above the start. In three cases the energies
+    are not compared, and the result is None:
 
     - The power model is `momentum` or a user's own Pyomo model. Such a power model may depend on
       the airspeed. The energy of the plan may then include the energy of the climb.
@@ -399,12 +399,15 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
     Returns
     -------
     dict
-        Four values by key. `path_m`: path length [m]. `battery_percent`: charge used [percent].
-        `charge_minutes` and `charge_m`: flight time [minutes] and distance [m] on a full charge.
-        If the table has no column of the charge, `battery_percent` is None, and the keys
-        `charge_minutes` and `charge_m` are absent. The plan's controls may not have been simulated,
-        for example because the solve failed. Then `path_m` is 0, `battery_percent` is None, and
-        the keys `charge_minutes` and `charge_m` are absent.
+        Values by key:
+
+        - `path_m`: path length [m]. It is 0 if the plan's controls were not simulated, for example
+          because the solve failed.
+        - `battery_percent`: charge used [percent]. It is None if the plan's controls were not
+          simulated, or if the table has no column of the charge.
+        - `charge_minutes`: flight time on a full charge [minutes]. The key is absent if
+          `battery_percent` is None.
+        - `charge_m`: distance on a full charge [m]. The key is absent if `battery_percent` is None.
     """
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
@@ -524,15 +527,15 @@ def _gallery() -> ModuleType:
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Yield the figures of a report, made by functions of the module `gallery`.
+    """Import the module `gallery`, and yield the figures that a function makes with it.
 
-    The module `gallery` is imported when the first figure is requested. A report without figures
-    therefore does not import matplotlib.
+    The import is delayed until the first figure is requested. A report without figures requests
+    none, and does not import `gallery` and matplotlib.
 
     Parameters
     ----------
     listed : callable
-        Function that returns the figures. Its argument is the module `gallery`, whose functions
-        make figures.
+        Function with the module `gallery` as its argument. It calls a function of `gallery`, and
+        returns the figures.
     """
     yield from listed(_gallery())

@@ -426,10 +426,11 @@ class StyledFlight:
 
 
 def plan_flight(plan: "Plan") -> "Flight":
-    """Return the planned flight as a `Flight` (table and energy under a name), for figures.
+    """Return a plan as a `Flight`, the form in which figures draw all flights.
 
-    The flight is named "optimal". If the solve failed, the flight is named "best iterate", because
-    the trajectory of a failed solve may violate constraints.
+    A `Flight` has a name, a table and an energy. The name is "optimal" or, if the solve failed,
+    "best iterate". A failed solve has the second name because its trajectory may violate
+    constraints.
     """
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
@@ -489,8 +490,9 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
     """Return whether flights have equal durations, apart from rounding errors.
 
-    Figures compare the energy of a flight with the energy of hovering for the flight's duration. If
-    the durations are equal, all flights are compared with one value of the hover energy.
+    Flights of equal duration can be compared by their energies above hovering. The energy above
+    hovering is the energy of a flight less the energy of hovering for the same time. If the
+    durations differ, only the total energies can be compared.
     """
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 

@@ -35,9 +35,9 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative tolerance of the plan's energy compared with the least energy, and of the simulated
-        energy compared with the plan's energy. Mesh refinement stops when the collocation error of
-        the states is at most this tolerance.
+        Relative tolerance of two differences: the plan's energy may differ from the least energy,
+        and the simulated energy may differ from the plan's energy. Mesh refinement stops when the
+        collocation error of the states is at most this tolerance.
     miss : float
         Largest deviation of the simulated final state from the mission's goal, and of the simulated
         position from each waypoint. The simulation has no feedback. The tolerance applies to each
@@ -52,10 +52,10 @@ class Figures:
         second. These rates are harmless: a brief slow turn changes neither the path nor the energy.
     intrusion : float
         Largest distance [m] by which the flight may enter the clearance of a keep-out zone, fall
-        below the floor, rise above the ceiling or leave the fence. For these limits the smaller of
-        the tolerances `breach` and `intrusion` applies. A `breach` of 1 % alone would allow half a
-        metre at a ceiling of 50 m. At the level `proof`, `intrusion` is infinite, so that only
-        `breach` applies.
+        below the floor, rise above the ceiling or leave the fence. The tolerance `breach` applies
+        to these limits, too: both tolerances must be met. Without `intrusion`, a `breach` of 1 %
+        would allow half a metre at a ceiling of 50 m. At the level `proof`, `intrusion` is
+        infinite, so that only `breach` applies.
     integration : float
         Relative and absolute tolerance of the simulation. The value is far below the other
         tolerances, because errors of a flight without feedback grow about a millionfold in half a

@@ -35,10 +35,11 @@ class Shape(StrEnum):
 
 
 class Ball(NamedTuple):
-    """Set of places within a radius of a centre, the distance measured in one to three coordinates.
+    """Sphere, vertical cylinder without ends, or interval: a part of a keep-out zone's description.
 
-    In three coordinates the set is a sphere, in x and y a vertical cylinder without ends, and in
-    one coordinate an interval. Every keep-out zone is an intersection of balls:
+    A ball is the set of places whose distance from a centre is at most a radius. The distance is
+    measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for an
+    interval. Every keep-out zone is an intersection of balls:
 
     zone | balls
     sphere | one ball in x, y and z
@@ -52,8 +53,9 @@ class Ball(NamedTuple):
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
         interval along the normal of a polygon's edge.
     centre : tuple of float
-        Coordinates of the centre [m], one for each member of `axes`. An interval along the normal
-        of a polygon's edge has one coordinate: the component of its centre along the normal.
+        Coordinates of the centre [m], one for each member of `axes`. For an interval along the
+        normal of a polygon's edge, the only coordinate is the component of the centre along the
+        normal.
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None
@@ -424,10 +426,11 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface of heights at which a straight flight home clears the terrain.
+        """Return a smooth surface: at each place, the height from which a flight home is possible.
 
-        The flight home is horizontal and may start at any place. The surface at this place is at
-        least as high as the highest ground below the straight line from the place to the home.
+        The flight home is straight and horizontal, and must clear the terrain. At each place, the
+        surface is at least as high as the highest ground below the straight line from the place to
+        the home.
 
         Parameters
         ----------

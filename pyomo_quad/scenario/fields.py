@@ -186,13 +186,13 @@ def quantity(
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether the field was added after some records (stored scenarios) were written. A record
-        without such a field stands for the default. New records leave such a field out if its value
-        is the default.
+        Whether earlier versions of the package lacked the field. A record is a stored scenario. A
+        record without such a field is read with the field's default. A new record is written
+        without such a field if the value is the default.
     initial : object, optional
-        Value that the field gets if a scenario file leaves the field out. If `initial` is given,
-        the default is used only for records (stored scenarios) without the field. If `initial` is
-        not given, the default is used for scenario files, too.
+        Value that the field gets if a scenario file leaves the field out. A record (stored
+        scenario) without the field still gets the default. If `initial` is not given, scenario
+        files get the default, too.
     unit_keys : mapping, optional
         Further keys of the field in a file, for other units. The value of a key is the factor from
         the key's unit to `unit`.
@@ -287,10 +287,10 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the initial value of a field, which applies if a scenario file leaves the field out.
+    """Return the initial value of a field: its value if a scenario file leaves the field out.
 
-    Most fields have no initial value. The result is then None, and the field's default applies. The
-    function `quantity` declares the default and the initial value of a field.
+    The result is None for a field without an initial value. Most fields have none: if a file leaves
+    such a field out, the field gets its default. See `quantity`, which declares both values.
 
     Parameters
     ----------

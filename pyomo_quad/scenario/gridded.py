@@ -147,9 +147,10 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
     """Convert the axes of gridded data to metres from the mission's origin.
 
-    Longitude and latitude are converted along the middle lines of the grid. A grid that spans too
-    much of the earth is refused, because the convergence of the meridians toward the poles would
-    noticeably skew the grid in metres.
+    Longitudes are converted to x at the grid's middle latitude, and latitudes to y at the grid's
+    middle longitude. Toward the poles the meridians converge, so that the corners of the grid are
+    not exactly at these x and y. A grid that spans too much of the earth is refused, because its
+    corners would be too far off.
 
     Parameters
     ----------

@@ -54,8 +54,9 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert pydantic's validation errors of a table to messages of one line each.
 
-    Messages about unknown keys come first. An unknown key that resembles a missing required field
-    is probably the misspelt field. Then only the unknown key is reported.
+    Messages about unknown keys come first. If an unknown key resembles a missing required field, it
+    is probably a misspelling of the field. Only the unknown key is then reported, and not the
+    missing field.
 
     Parameters
     ----------
@@ -66,9 +67,9 @@ def complaints(
     prefix : tuple, optional
         Path of the table in the file, put before the paths in messages.
     spared : sequence of tuple, optional
-        Paths of tables and fields that are incomplete, because a file or library entry has already
-        caused an error. At and below these paths, missing and contradictory fields are not
-        reported again.
+        Paths of tables and fields that could not be filled in, because of an error that is already
+        reported, for example in a file or library entry. No missing or contradictory field at or
+        below these paths is reported.
 
     Returns
     -------

@@ -316,9 +316,9 @@ class Transcription:
         coefficient of its integral. If the objective is maximised, the sum is multiplied by -1. The
         running cost is a density over the fraction of the horizon, which goes from 0 to 1.
 
-        The sum has only integrals that enter the objective directly. For other integrals, for
-        example those that enter it nonlinearly, a static variable (a variable without time) stands
-        in the objective. `z` are the unknowns of the program.
+        Some integrals, for example those that enter the objective nonlinearly, are replaced in the
+        objective by a static variable (a variable without time). The sum does not contain the
+        integrands of these integrals. `z` are the unknowns of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -357,9 +357,9 @@ class Transcription:
         """Return the variables of conditions and objective as an array with one row.
 
         A condition is a constraint at declared times (members of the continuous set). The variables
-        are values at declared times, static variables (variables without time), and integrals. The
-        integrals are only those for which no static variable stands in the objective. `z` are the
-        unknowns of the program.
+        are values at declared times, static variables (variables without time), and integrals. An
+        integral is left out if a static variable replaces it in conditions and objective. `z` are
+        the unknowns of the program.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]

@@ -52,8 +52,8 @@ class WorkingCopy:
         The clone.
     time : ContinuousSet or None
         Continuous set of the horizon that this working copy represents. None for a model without
-        time. Also None for the working copy that represents the coupling of several horizons, which
-        has the constraints and the objective that do not belong to one horizon.
+        time. In a model with several horizons, one working copy represents their coupling: the
+        constraints and the objective that do not belong to a single horizon. Its time is None, too.
     template_time : float
         The added time.
     declared_times : tuple of float
@@ -123,9 +123,12 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    If there are several, unused sets are left out. A set is unused if it indexes no variable. A set
-    in a deactivated block is also unused if no active constraint or objective contains a variable
-    indexed by the set.
+    If there is only one set, it is returned even if it is unused. If there are several, unused sets
+    are left out. Two kinds of sets are unused:
+
+    - a set that indexes no variable;
+    - a set in a deactivated block, if no active constraint or objective contains a variable that
+      the set indexes.
 
     Raises
     ------
@@ -209,9 +212,9 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
     over time there. `copy` is the clone of the user's model from which the components are deleted.
     `time` is the continuous set that indexes the components.
 
-    The deletion does not change the nonlinear program. Of the deleted types, only active blocks and
-    objectives could contribute to the program, and an earlier check refuses them if they are over
-    time.
+    The deletion does not change the nonlinear program. Most of the deleted types contribute nothing
+    to the program. Active blocks and objectives would contribute to it, but a model that has them
+    over time is refused before.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED

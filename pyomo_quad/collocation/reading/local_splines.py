@@ -4,10 +4,10 @@ In each cell of its grid a spline is a polynomial. One call of a CasADi function
 coefficients of this polynomial, and returns its value, gradient and Hessian. The coefficients come
 from a table, which is computed once for all cells.
 
-With polynomial coefficients along all axes, the table may become too large. Along some axes, the
-table then holds the coefficients of the B-spline instead. A second table has the B-spline basis
-functions of such an axis, as polynomials in each cell. The call looks up the degree + 1 basis
-functions that are not zero in the cell, evaluates them, and multiplies each of them by its B-spline
+If the table of polynomial coefficients would become too large, it holds B-spline coefficients along
+some of the axes instead. Each of these axes has a further table. It holds the B-spline basis
+functions of the axis, as polynomials in each cell. The call looks up the degree + 1 basis functions
+that are not zero in the cell, evaluates them, and multiplies each of them by its B-spline
 coefficient.
 
 A number is looked up in a table by the evaluation of a CasADi B-spline of degree zero. This
@@ -73,9 +73,10 @@ class LocalSpline:
     function : casadi.Function
         Rounded arguments -> value, gradient and upper triangle of the Hessian of the spline.
     kept : tuple of casadi.Function
-        Derivatives of `function`, all zero: the rounded arguments count as constants, and the
-        Taylor polynomial supplies the derivatives of the spline. They are kept here because CasADi
-        would otherwise construct them anew for each expression.
+        CasADi functions for the derivatives of `function`. They return zero, because the rounded
+        arguments count as constants. (The derivatives of the spline come from the Taylor
+        polynomial.) The functions are kept in this attribute because CasADi would otherwise
+        construct them anew for each expression.
     """
 
     roundings: tuple[float, ...]
@@ -266,11 +267,11 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
     Parameters
     ----------
     parts : dict
-        Partial sums for the value and for each derivative of the spline. Some of the last axes, or
-        none, are already summed. The key is a tuple that identifies the derivative: it has the
-        order of the derivative along each axis already summed, and is () if there is no such axis.
-        The value of the dictionary is a CasADi column, with one partial sum for each combination of
-        coefficients along the other axes.
+        Partial sums of the value and of each derivative of the spline: the sums over the axes that
+        earlier calls have summed. These are the last axes of the spline, or none. A key identifies
+        a derivative: it is a tuple with the order of the derivative along each summed axis. If no
+        axis is summed, the only key is (). The item of a key is a CasADi column with one partial
+        sum for each combination of coefficients along the axes not yet summed.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
         its value, first and second derivative.
@@ -280,9 +281,9 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
     Returns
     -------
     dict
-        The partial sums after the sums over `axes`, in the form of `parts`. A key has the orders of
-        the derivative along `axes` first, then the orders of the key of `parts`. The total order of
-        a derivative is at most 2.
+        The partial sums over `axes` and the axes summed earlier, in the form of `parts`. A key has
+        the orders of the derivative along `axes`, then the orders along the axes summed earlier.
+        The sum of the orders in a key is at most 2.
     """
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
@@ -314,9 +315,9 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
     Parameters
     ----------
     given : sequence of tuple of int
-        Keys of the result of the first step, one for each derivative. A key has the orders of the
-        derivative along the axes of the first step. The only key is () if the spline has no axis
-        for the first step.
+        Keys of the dictionary that the first step returns. A key identifies a derivative: it is a
+        tuple with the order of the derivative along each axis of the first step. A spline with one
+        or two axes has no axis for the first step; the only key is then ().
     count : int
         Number of axes of the spline.
     degree : int

@@ -145,10 +145,10 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that repeats one constraint at all declared times.
 
-        A declared time is a member of the continuous set. The list is probably meant for all times,
-        but could only be imposed at the declared times. The error is raised if the list has one
-        member per declared time, and the members differ in time only. Lists with states or static
-        variables are accepted. `component` is the ConstraintList.
+        A declared time is a member of the continuous set. The error is raised if the list has one
+        member per declared time, and the members differ in time only. Such a list is probably meant
+        for all times, but could only be imposed at the declared times. A list is accepted, however,
+        if a member contains a state or a static variable. `component` is the ConstraintList.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -627,13 +627,14 @@ class ModelReader:
         A state that such an equation determines needs no differential equation. An example is the
         boundary value of a variable that is discretised in space.
 
-        Each equation can determine one of its variables. A maximum bipartite matching assigns
-        variables to different equations. The result has the names of all variables with an
-        equation.
+        Each equation can determine one of its variables. A maximum bipartite matching assigns a
+        different equation to each variable, as far as possible. The result has the names of all
+        variables with an equation.
 
         The variables in the matching are the given states and the derivatives in space. The
-        derivatives in space take part because the discretisation in space adds an equation for each
-        of them. The matching assigns these added equations to the derivatives, and not to states.
+        discretisation in space adds one equation for each derivative in space, and this equation
+        determines the derivative. If the derivatives were not in the matching, the added equations
+        could be assigned to states by mistake.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of its symbols.

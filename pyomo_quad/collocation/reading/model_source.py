@@ -124,11 +124,11 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Data of the compiled equations as functions of time. There are two kinds. A `Schedule`
-        belongs to a rule that branches on time: the data at a time tell which expression the rule
-        returns, and give the numbers in this expression. `Phases` belongs to the horizon: the data
-        at a time tell which phase contains the time. The attribute `scheduled` of the class
-        `Declarations` lists the symbols of these data.
+        Functions of time whose values are data of the compiled equations. A `Schedule` belongs to a
+        rule that branches on time. Its values state which expression the rule returns at a time,
+        and which numbers the expression has. A `Phases` object belongs to a horizon with free
+        times. Its values state which phase of the horizon contains a time. The symbols of all these
+        data are in the attribute `scheduled` of the class `Declarations`.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -268,8 +268,8 @@ class LiveModel:
         ------
         TranscriptionError
             If a parameter without a rule has different values at declared times (members of the
-            continuous set). Its values at other times are then unknown. Also if the values in the
-            model are not those of the parameter's rule.
+            continuous set), because its values at other times are unknown. Or if a parameter with a
+            rule has values in the model that differ from those of the rule.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -536,10 +536,10 @@ class ModelSnapshot:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return a function's value at a time as a `Reading`, which the function `jumps` requires.
+    """Return the value of the function `signal` at a time, in the form of a `Reading`.
 
-    A `Reading` has numbers and a key. The function `jumps` finds the times at which the numbers
-    jump or the key changes. Here the only number is the value of the function `signal` at `time`,
-    and the key is None.
+    The function `jumps` requires this form to find the times at which `signal` jumps. A `Reading`
+    has numbers and a key. Here the only number is the value of `signal` at `time`, and the key is
+    None.
     """
     return Reading(None, (signal(time),))

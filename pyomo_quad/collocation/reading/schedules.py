@@ -2,9 +2,9 @@
 
 A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
 This module therefore calls the rule at many times, and sorts the returned expressions into forms.
-Expressions of one form differ in their numbers only. Each form is compiled once. Two things are
-then data of every collocation point: which form applies there, and the numbers that vary. Bisection
-finds the times at which these data jump.
+Expressions of one form differ in their numbers only. Each form is compiled once. The compiled
+equations then need two kinds of data at every collocation point: which form applies there, and the
+numbers that vary in the form. Bisection finds the times at which these data jump.
 
 For pickling, piecewise polynomials replace the functions of time, so that no rule of the model is
 needed to evaluate them. The pieces do not extend across jumps.
@@ -151,8 +151,9 @@ class Schedule:
         Declared times (members of the continuous set). The rule is called between them, and just
         before and just after each of them.
     place : callable, optional
-        Time -> time with which the rule is called instead. For a rule whose result is the same at
-        all times of an interval, `place` can return one time for the whole interval.
+        Function that replaces a time before the rule is called with it. If the result of the rule
+        is the same at all times of an interval, `place` can return one time for the whole interval.
+        By default the time is not replaced.
 
     Attributes
     ----------
@@ -248,8 +249,8 @@ class Schedule:
         Raises
         ------
         TranscriptionError
-            If there are too many forms. After compilation, also if the form is new, or a number in
-            it differs that was constant before.
+            Before compilation, if there are too many forms. After compilation, if the form is new,
+            or if a number differs that was the same in all results before compilation.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -341,9 +342,11 @@ class Schedule:
 
         Results of the rule have the same form if they differ in their numbers only. If the rule
         skips the constraint at some times, the form at these times has no bounds. The body of a
-        form without bounds has no effect, and can be replaced. If all forms have the same body, a
-        constraint on a single variable can become a bound of that variable. Nothing is changed if
-        the body of the form with bounds is not linear.
+        form without bounds has no effect, and can be replaced. The body is taken from the first
+        form with bounds. If that body is not linear, nothing is changed.
+
+        The purpose: a constraint on a single variable can become a bound of that variable, but only
+        if all forms have the same body.
 
         `forms` has lower bound, body and upper bound of each form, as CasADi expressions. It is
         changed in place.
