@@ -32,7 +32,8 @@ pack cannot fly the mission if the state of charge or the power reserve is negat
 
 The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it exceeds
 the other terms of e_m before the pack is empty, and e_m is then negative. For such constants, the
-flights are limited to e_m >= 0, because a negative voltage makes the greatest power negative.
+flights are limited to e_m >= 0. Where e_m is negative, the pack can deliver no power: the module
+gives the greatest power the sign of the voltage, U |U|/(4 R).
 """
 
 from pyomo.core import (
@@ -281,10 +282,11 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
 
-    In an aged battery, the charge drawn from a cell is divided by the capacity factor, the capacity
-    of the aged cell over the capacity of an unaged cell. Eq. (5) uses the scaled charge, because
-    its constants hold for an unaged cell. `b` is the block `battery`, and `t` the time in flight
-    [s].
+    The scaled charge is the charge drawn from the cell, divided by the capacity factor. The
+    capacity factor is the capacity of the aged cell over the capacity of an unaged cell. Eq. (5)
+    uses the scaled charge, because the constants of eq. (5) hold for an unaged cell. Without a
+    capacity factor in the model, the charge is not scaled. `b` is the block `battery`, and `t` the
+    time in flight [s].
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -3,8 +3,8 @@
 symbol | name | unit | meaning
 U(x, y) | above | m | height of a smooth surface that is nowhere below the ground
 L(x, y) | below | m | height of a smooth surface that is nowhere above the ground
-z - U | height_limited_below | m | for a floor: at most the height above the ground
-z - L | height_limited_above | m | for a ceiling: at least the height above the ground
+z - U | height_limited_below | m | height above the surface U, limited by a floor
+z - L | height_limited_above | m | height above the surface L, limited by a ceiling
 
 z is the height coordinate of the vehicle. A floor is the least permitted height above the ground, a
 ceiling the greatest.
@@ -13,9 +13,12 @@ The ground of `airspace.terrain` is bilinear between the points of its grid. U a
 through values on the same grid; the module `scenario.surfaces` computes the values. Pyomo evaluates
 the splines through the class `collocation.Table`: they are twice differentiable with exact
 derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance
-between the ground and a surface, U or L, is at most the attribute `excess` of this surface. Where
-z - U equals the floor, the height above the ground is at least the floor, and at most the floor
-plus `excess`.
+between the ground and a surface, U or L, is at most the attribute `excess` of this surface.
+
+The height above the ground is at least z - U and at most z - L. A flight that keeps the floor with
+z - U therefore also keeps the floor with the height above the ground. Where z - U equals the floor,
+the height above the ground exceeds the floor by at most `excess`. In the same way, a flight that
+keeps the ceiling with z - L also keeps the ceiling with the height above the ground.
 
 Over flat ground, both heights z - U and z - L equal z, and no block is declared.
 """

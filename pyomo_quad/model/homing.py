@@ -13,9 +13,9 @@ A home is a place at which the vehicle may land: the start of the mission, or a 
 
 The return is a steady, level flight at one airspeed V. The pack delivers a constant current i. At
 the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2), the distance d takes the time d / g. The charge
-of the return is (1 + margin) i d / g. The wind along the return is assumed equal to the wind at the
-vehicle. A difference of height counts as distance. The margin covers the errors of both
-assumptions.
+of the return is (1 + margin) i d / g. Two assumptions are made: the wind on the return equals the
+wind at the vehicle, and a difference of height counts as distance. The margin covers the errors of
+these two assumptions.
 
 Over terrain the vehicle first climbs to the height H_k, without coming closer to the home. H_k is
 the highest ground on the straight line to the home, plus the floor of the airspace (the least
@@ -96,13 +96,17 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def terrain_key(scenario: Scenario) -> Hashable:
-    """Return the places of the homes if the model has a height table for each home, or None.
+    """Return the places of the homes if the compiled model depends on them, or None.
 
-    A home is the start of the mission or a rally point. The model has the tables if the scenario
-    has terrain and keeps charge for a return flight. A table gives the heights that clear the
-    ground on the straight way to its home. New parameter values do not change the tables. A
-    compiled model is therefore valid only for the homes with which it was built. For this reason,
-    the key that the function `structure_key` returns includes the places of the homes.
+    A home is the start of the mission or a rally point. If the scenario has terrain and keeps
+    charge for a return flight, the model has a height table for each home. The table gives the
+    heights that clear the ground on the straight way to the home. Without height tables, the result
+    is None.
+
+    New parameter values do not change the tables of a compiled model. The compiled model is
+    therefore valid only for the homes with which it was built. The key that the function
+    `structure_key` returns includes the places of the homes. Scenarios with different homes
+    therefore have different keys.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None

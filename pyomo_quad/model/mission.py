@@ -174,9 +174,10 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the Pyomo variables of the times that a plan chooses, each by its nominal time [s].
 
     The chosen times are the duration, if the duration is free, the passage of each waypoint and the
-    end of each hover at a waypoint. The nominal time of a variable is the value that `scenario`
-    prescribes or estimates for it. In the time set of the model `m`, this number stands for the
-    variable. Keys of the result are the nominal times, values the variables.
+    end of each hover at a waypoint. Each chosen time has a nominal time: the value that `scenario`
+    prescribes or estimates for it. The nominal time is a member of the time set of the model `m`.
+    Conditions that hold at the chosen time are declared at the nominal time. Keys of the result are
+    the nominal times, values the variables.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -424,9 +425,9 @@ def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by steady hover in the wind, tilted against it.
 
     Models for replanning in flight use this end condition. The level hover is not an equilibrium in
-    wind: the wind accelerates a level vehicle. A plan in wind can therefore be level and at rest at
-    a single instant only, while the tilt passes through zero. If the actual wind differs from the
-    planned wind, the vehicle is not at rest even at this instant.
+    wind, because the wind accelerates a level vehicle. A planned flight in wind can be level and at
+    rest only for an instant, while its tilt passes through zero. If the actual wind differs from
+    the planned wind, the vehicle is not at rest even at this instant.
 
     Parameters
     ----------

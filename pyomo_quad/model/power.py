@@ -262,7 +262,7 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 
     Motor and converter have no loss, and with regeneration braking returns its full power. The
     shaft power is therefore a lower bound of the power in every other model. It is convex in thrust
-    (exponent 3/2) and linear in the rotor acceleration, which therefore needs a bound.
+    (exponent 3/2). It is linear in the rotor acceleration, so the rotor acceleration needs a bound.
 
     Parameters
     ----------
@@ -305,14 +305,15 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
     omega. Its coefficients were recovered from two public re-implementations of the paper's model.
 
-    Below some 780 rad/s, f_r has zeros at moderate braking torque. Two parameters of the block
-    `power` are therefore lower limits: `torque_floor` limits the torque at which f_r is evaluated,
-    and `efficiency_floor` limits the value of f_r. Both limits are smooth. Without regeneration,
-    braking returns no energy and the power is never negative.
+    Below some 780 rad/s, f_r has zeros at moderate braking torque, and the power has poles there.
+    To avoid the poles, the model has two smooth lower limits. The parameter `torque_floor` of block
+    `power` limits the torque at which f_r is evaluated. The parameter `efficiency_floor` limits the
+    value of f_r. Without regeneration, braking returns no energy and the power is never negative.
 
     The power is not convex in the rotor acceleration. Below 858 rad/s, alternating acceleration and
-    coasting takes less energy than steady flight. An optimum therefore depends on the bound on the
-    acceleration and on the mesh.
+    coasting takes less energy than steady flight. The bound on the acceleration and the mesh limit
+    how strongly and how fast a plan can alternate. The optimum therefore depends on this bound and
+    on the mesh.
 
     Parameters
     ----------

@@ -30,9 +30,11 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the model parameters for positions and directions of rotation of the rotors.
 
-    The result is empty for a standard cross of four rotors without rotor drag and translational
-    lift, because eq. (7) of Yacef et al. contains the geometry of the cross. Rotor drag and
-    translational lift depend on the airspeed at each rotor, and therefore need the positions.
+    A standard cross of four rotors needs neither positions nor directions of rotation: eq. (7) of
+    Yacef et al. contains the geometry of the cross. Any other rotor layout needs both. Rotor drag
+    and translational lift depend on the airspeed at each rotor. A vehicle with these forces
+    therefore needs the positions, even if it is a standard cross. The result is empty for a
+    standard cross without these forces.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(

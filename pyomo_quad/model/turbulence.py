@@ -16,8 +16,8 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
     xi_1' = -a xi_1 + sqrt(a) n,  xi_2' = a (xi_1 - xi_2),
                                           v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
 
-MIL-HDBK-1797 gives half the lengths of MIL-F-8785C, but uses twice the length in the filters. At
-low altitude the two specifications therefore give the same spectra.
+MIL-HDBK-1797 defines L_v and L_w as half of the lengths in MIL-F-8785C, and writes 2 L in place of
+L in the filters of v and w. At low altitude the two specifications therefore give the same spectra.
 
 V is the airspeed, with the lower limit sigma_u. The reason for the limit is that the filters treat
 gusts as frozen (Taylor's hypothesis). But a gust changes by itself in a time of about L / sigma

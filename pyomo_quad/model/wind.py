@@ -148,9 +148,9 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    A wind with a profile is taken at the reference height, a wind measured over heights at 10 m
-    above the ground (the constant `USUAL_HEIGHT`). For a wind field, the result is the mean over
-    all places that have wind.
+    For a wind with a profile, the result is the wind at the reference height. For a wind that was
+    measured at several heights, the result is the wind at 10 m above the ground (the constant
+    `USUAL_HEIGHT`). For a wind field, the result is the mean over all places that have wind.
     """
     wind = scenario.wind
     if wind.grid is not None:
@@ -300,8 +300,10 @@ def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
 
     The result has every mutable parameter of block `wind` that is a speed. The value is zero; for a
     parameter over time, the value is a function of time that returns zero. Parameters that a user
-    has added to the block are included. If the equations of a wind contain no such parameter, the
-    result does not change this wind. `m` is the mission's model.
+    has added to the block are included. `m` is the mission's model.
+
+    A wind whose equations contain no mutable parameter that is a speed cannot be set to zero in
+    this way. The returned values leave such a wind as it is.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")

@@ -167,8 +167,9 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 
     In each cell of the grid the spline through the wind is a polynomial of degree three along every
     axis. The polynomial lies in the convex hull of its control points (Bernstein coefficients).
-    Cells without wind at any corner are left out, because no flight may enter them. If the
-    scenario's field `wind.beyond` is "hold", flights may enter all cells, and no cell is left out.
+    A cell is left out if none of its corners has wind, because no flight may enter such a cell. If
+    the scenario's field `wind.beyond` is "hold", flights may enter all cells, and no cell is left
+    out.
     Implements docs/theory/bound.md, eq. (21).
 
     Parameters
@@ -180,9 +181,9 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     -------
     ndarray, shape (n, 3)
         Wind components along x, y and z [m/s] at the n corners. The polyhedron is a prism. Its base
-        is the smallest octagon with sides in eight fixed, equally spaced directions that contains
-        the horizontal components of all control points. Along z, the prism extends from the least
-        to the greatest vertical component.
+        is an octagon that contains the horizontal components of all control points. The directions
+        of the octagon's sides are fixed and equally spaced; the octagon is the smallest with these
+        directions. Along z, the prism extends from the least to the greatest vertical component.
 
     Raises
     ------

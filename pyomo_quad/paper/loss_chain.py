@@ -129,7 +129,8 @@ def draw_loss_chain(
     flown : PaperFlight
         The flight.
     bound : float
-        Absolute rotor acceleration of the weakest braking at which f_r is zero [rad/s²].
+        Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²]. A line on
+        the map shows the torques at this braking.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)
