@@ -717,8 +717,8 @@ def structural_index(declared: Declarations) -> StructuralIndex:
       contains.
 
     `declared` are the declarations of the model, with its equations. Controls count as unknowns,
-    like all algebraic variables. An equation that contains states only raises the index. This holds
-    even if controls influence these states through other equations.
+    like all algebraic variables. An equation that contains no variables but states makes the index
+    higher, even if controls influence these states through other equations.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """

@@ -127,12 +127,13 @@ class OpenLoopSteps:
     def _inputs(
         self, starts: FloatArray, ends: FloatArray, control: Callable[[FloatArray], FloatArray]
     ) -> Iterator[tuple[Any, ...]]:
-        """Return, for each of n steps, its start [s], its end [s] and further data of the step.
+        """Return the times and the inputs of n Runge-Kutta steps, one tuple per step.
 
-        The further data are the inputs of the function that `_step` returns, except the joint
-        state: the time-dependent inputs of the equations, the controls, and the duration of the
-        step. `starts` and `ends` have the times of the steps [s], shape (n,). `control` returns the
-        controls at an array of times [s].
+        A tuple holds five items: the start of the step [s], the end of the step [s], the
+        time-dependent inputs of the equations at all stages, the controls at all stages, and the
+        duration of the step [s]. The last three items are inputs of the function that `_step`
+        returns. `starts` and `ends` have the times of the steps [s], shape (n,). `control` returns
+        the controls at an array of times [s].
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C

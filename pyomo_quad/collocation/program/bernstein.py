@@ -180,8 +180,8 @@ class Restraint:
     ----------
     cost : ndarray, shape (n_elements,)
         First-order estimate of the increase in each element, in the unit of the objective. The
-        cause of the increase is a bound on the Bernstein coefficients, where a bound on the
-        polynomial itself would be less strict.
+        bounds are imposed on the Bernstein coefficients of a polynomial. This is stricter than
+        bounds on the polynomial itself, and therefore raises the objective.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.

@@ -167,10 +167,10 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    A bound may jump together with the parameter. The node at the jump is the end of an element,
-    where the bounds at collocation points are evaluated just before the jump. This function
-    evaluates the bounds just after the jump. The state at the node must satisfy the bounds just
-    before and just after the jump.
+    A bound may jump together with the parameter. At the node of the jump, the state must satisfy
+    two bounds: the bound just before the jump, and the bound just after the jump. This function
+    yields the bounds just after the jump. The function `_over_time` yields the bounds just before
+    the jump: the node is the last collocation point of the element that ends at the jump.
 
     `program` is the nonlinear program on one mesh. `data` has one row per jump: the fraction of the
     horizon, the time-dependent parameters just after the jump, and the constant parameters.
