@@ -150,8 +150,9 @@ class Remainder:
     def planned_until(self) -> float:
         """Time after which no new plan is made until the next waypoint or the end [s].
 
-        After this time the vehicle follows its last plan. A plan that starts shortly before a place
-        where it must arrive exactly would counteract every gust, at any cost of energy.
+        After this time the vehicle follows its last plan. A plan must reach the next waypoint or
+        the end exactly. If little time is left, such a plan counteracts the effect of every gust,
+        at any cost of energy.
         """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
@@ -174,10 +175,10 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        The mesh has short elements at the present time, the waypoints and the end. It is used until
-        a fifth of the time to the next waypoint, or to the end, has passed. The next mesh is made
-        for the shorter remaining time. Several successive solves thus have the same mesh. Each of
-        them can reuse the structure of the equations of the solve before.
+        The mesh has short elements at the present time, the waypoints and the end. The same mesh is
+        used for several successive solves, so that a solve can reuse the structure of the equations
+        of the previous solve. A new mesh is made as soon as the time to the next waypoint (or to
+        the end, if there is no next waypoint) is a fifth shorter.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin

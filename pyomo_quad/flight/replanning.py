@@ -148,11 +148,12 @@ class _Observer:
         return self._states[-3:].copy()
 
     def belief(self, flown: Flown) -> Belief:
-        """Return a mass and a horizontal acceleration that explain the unexplained acceleration.
+        """Return a mass and a horizontal acceleration by the air, for the next plan.
 
-        The vertical part of the estimated unexplained acceleration is attributed to a wrong mass:
-        the same thrust accelerates a lighter vehicle more. The changed mass explains some
-        horizontal acceleration too. The rest of the horizontal part is attributed to the air.
+        Both are computed from the estimate of the unexplained acceleration. The mass is chosen so
+        that it explains the vertical part: the same thrust accelerates a lighter vehicle more. The
+        thrust also has a horizontal part. The changed mass therefore explains some of the
+        horizontal acceleration. The rest of the horizontal acceleration is attributed to the air.
         `flown` is the last simulated part of the flight; the thrust at its end is used.
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
@@ -362,11 +363,13 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part of the flight again with a second integrator, for verification.
 
-        A part begins with a new plan. Both simulations of a part start from the same state. The
-        whole flight cannot be simulated again for comparison, because each plan made in flight
-        depends on the rounding errors of the measured state. With the recorded plans, a second
-        flight would have no feedback from its own state to the plans. It would deviate from the
-        recorded flight within seconds.
+        A part begins with a new plan. Both simulations of a part start from the same state and
+        follow the same plan.
+
+        The whole flight is not simulated again from take-off. A second flight that made its own
+        plans would have other plans, because a plan depends on the rounding errors of the measured
+        state. A second flight along the recorded plans would deviate from the recorded flight
+        within seconds, because its own state would not affect the plans.
 
         Returns
         -------

@@ -116,11 +116,13 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    The scenario may state the risk. Otherwise the result is 1, which allows any risk and needs no
-    margins. A plan of free duration is an exception: its risk is one per cent (`_USUAL_RISK`).
-    Without margins, a plan of free duration uses the full thrust of the rotors, so that no
-    controller can follow it. The exception does not apply to the simplified attitude equations of
-    the paper (Yacef et al.).
+    If the scenario states the allowed risk, this value is returned. If the scenario states none,
+    the result depends on the mission:
+
+    - Fixed duration: 1. Any risk is allowed, and the plan needs no margins.
+    - Free duration: one per cent (`_USUAL_RISK`). Without margins, such a plan uses the full thrust
+      of the rotors, so that no controller can follow it.
+    - Free duration with the simplified attitude equations of the paper (Yacef et al.): 1.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -256,12 +258,12 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight misses the goal or a waypoint for lack of thrust.
+        """Probability that a flight breaks limits at the goal or waypoints that no margin tightens.
 
-        No field of the scenario can tighten some limits at the goal and the waypoints, for example
-        the distance from the goal at the end. The result is the sum of the probabilities of
-        breaking these limits. To break them less often, the plan must leave the rotors a reserve of
-        thrust.
+        A margin tightens a limit through the scenario field that sets the limit. Some limits at
+        the goal and the waypoints have no such field. An example is the limit on the distance from
+        the goal at the end. The result is the sum of the probabilities of breaking these limits.
+        Flights break them less often if the plan leaves the rotors a larger reserve of thrust.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
@@ -583,10 +585,11 @@ class _Search:
 
         The simulated vehicles hover at the goal in turbulence for `_HOVER_S` seconds. The mission
         limits the distance from the goal and the speed at the end of a flight. The result is the
-        fraction of the vehicles that break one of these limits after the hover. The result is also
-        the least fraction of flights that miss the goal, for any margins of a plan. The reason is
-        that a vehicle that has just arrived breaks the limits at least as often as a vehicle that
-        has hovered.
+        fraction of the vehicles that break one of these limits after the hover.
+
+        Vehicles that have just arrived break the limits at least as often as vehicles that hovered.
+        Whatever margins a plan has, the fraction of its flights that miss the goal is therefore at
+        least the result.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(

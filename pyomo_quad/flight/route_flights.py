@@ -359,10 +359,11 @@ class RouteFlights:
     def _fly_beside(self, journey: Journey) -> Solution:
         """Solve along one of several journeys, without effect on the solves along the others.
 
-        A journey is a route for each leg of the mission. If the solve fails, it is repeated from
-        the solution of an easier mission, as in the method `fly`. After such a failure, `fly`
-        solves the easier mission first for all further journeys. The present method leaves the
-        solves along the other journeys as they are.
+        A journey is a route for each leg of the mission. The solve is made by the method `fly`. If
+        it fails, `fly` repeats it from the solution of an easier mission (waypoints passed
+        exactly). `fly` then also sets a flag. While the flag is set, `fly` solves the easier
+        mission first for every journey. The present method resets the flag to its previous value
+        after the solve.
         """
         is_plain = self._is_plain
         solution = self.fly(journey)
@@ -519,10 +520,11 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
-    The result has one set of pairs (name of a zone, side) for each leg of the mission. The caller
-    uses the pairs to leave out other journeys: a journey that passes all touched zones on the same
-    sides is not cheaper. The reason is that the optimum would be the same without the zones that it
-    does not touch; see docs/theory/routes.md.
+    The result has one set of pairs (name of a zone, side) for each leg of the mission.
+
+    With these pairs the caller leaves out other journeys. A zone that the flight does not touch has
+    no effect on it: without this zone, the flight would still be optimal. Another journey that
+    passes all touched zones on the same sides is therefore not cheaper; see docs/theory/routes.md.
 
     Parameters
     ----------

@@ -144,10 +144,12 @@ class Search:
     def is_early(self) -> bool:
         """Whether it is too early in the search to spend time on making usable plans.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
-        needed only if the search is stopped before it ends. The result is True during the first two
-        seconds of solves, because most searches end soon without being stopped. The caller uses the
-        property only if the highest accuracy, `proof`, is requested.
+        The result is True during about the first two seconds of solves. A usable plan is a plan
+        that simulation confirms at lower accuracy than requested. It is needed only if the search
+        is stopped before it ends. Most searches end soon without being stopped, and need no usable
+        plan.
+
+        The caller uses the property only if the highest accuracy, `proof`, is requested.
         """
         return self.work - self._patient_from < _PATIENCE
 
@@ -174,9 +176,9 @@ class Search:
     def is_stopped(self) -> bool:
         """Return whether the user or the time limit has stopped the search.
 
-        The user stops the search through the progress callback of the caller, which then returns
-        False. To ask it, this method calls the callback once more, with the last iteration of
-        Ipopt.
+        The user stops the search through a progress callback: the callback returns False. To learn
+        whether the user has stopped the search, this method calls the callback with the last
+        iteration of Ipopt.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -197,12 +199,12 @@ class Search:
         self.stage = stage
 
     def restart_patience(self) -> None:
-        """Make no usable plans during the next solves, as during the first solves of the search.
+        """Set the property `is_early` to true for about the next two seconds of solves.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        property `is_early` becomes true until the next solves have taken about two seconds. This
-        method is called after the order of the waypoints was chosen, before the whole mission is
-        solved in this order.
+        While `is_early` is true, no usable plans are made if the accuracy `proof` is requested. A
+        usable plan is a plan that simulation confirms at lower accuracy than requested. This method
+        is called after the order of the waypoints was chosen, before the whole mission is solved in
+        this order.
         """
         self._patient_from = self.work
 
@@ -361,10 +363,12 @@ def _is_optimised(plan: Plan | None) -> bool:
 def as_usable(plan: Plan) -> Plan:
     """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
 
-    The lower accuracy consists of fixed tolerances on the simulated flight. The uncertainty of the
-    plan's energy must be known, too: an estimate of the energy that a better plan may save. Other
-    plans are returned unchanged. Infeasible plans, and plans that simulation has confirmed already,
-    are also unchanged. The message of a usable plan states the accuracy of the simulated flight.
+    The plan must meet two conditions. Its simulated flight must be within fixed tolerances, which
+    are the lower accuracy. An estimate of the energy that a better plan may save must be known. A
+    plan that does not meet both conditions is returned unchanged. A plan that is infeasible, or
+    that simulation has confirmed already, is also returned unchanged.
+
+    The message of the returned usable plan states the accuracy of the simulated flight.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan

@@ -4,7 +4,8 @@ In steady flight the position changes at a given velocity, and the other states 
 states and controls of a steady flight are called its trim. Every quantity is computed with the
 compiled equations. A user's own model is thus treated in the same way as the package's model.
 
-The lower bound of the energy uses the momentum balance and the power of this module: see
+This module also computes the thrust that a motion requires (`MomentumDemand`), and the power of the
+rotors at a given thrust. A proven lower bound of a mission's energy uses both: see
 docs/theory/bound.md, eqs. (1) and (6).
 """
 
@@ -360,12 +361,12 @@ class SteadyFlight:
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
 
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
-        """Return the power that speeds up all rotors together, per rotor acceleration [J s/rad].
+        """Return the power that accelerates all rotors, divided by the acceleration [J s/rad].
 
         All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. Only
         the power that is stored in the rotors is counted. The rotors return it when they slow down.
-        Losses that do not depend on the sign of the acceleration are not counted. The result is the
-        counted power divided by the acceleration, and has the shape of `speed`.
+        Losses that do not depend on the sign of the acceleration are not counted. The result has
+        the shape of `speed`.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))

@@ -129,12 +129,12 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 
 
 def _hold_pack(candidate: Candidate) -> str:
-    """Plan a mission again with a limit on the battery's power, after a plan that lacks power.
+    """Plan a mission again with an upper limit on the power of the battery.
 
-    `candidate` holds the plan that draws more power than the battery can give. The new plan
-    replaces it if simulation confirms the new plan to the requested accuracy. If the new solve
-    fails, it is not retried from other initial guesses. The result is the status of the new solve
-    as text, for the list of strategies that were tried.
+    The plan in `candidate` draws more power than the battery can give. If simulation confirms the
+    new plan to the requested accuracy, the new plan replaces the old plan. If the new solve fails,
+    it is not retried from other initial guesses. The result is the status of the new solve as text,
+    for the list of strategies that were tried.
     """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 

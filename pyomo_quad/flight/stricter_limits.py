@@ -185,10 +185,12 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    The solution `relaxed` has the limits of the mission. Its flight breaks them by the amounts
-    `cuts`. The limits of the solution `strict` are stricter by the amounts `margins`. Its flight
-    satisfies the limits of the mission. To first order, the least energy changes in proportion to
-    the limits. Implements docs/theory/tracking.md, eq. (10).
+    The solution `relaxed` was solved with the limits of the mission, but its flight breaks them by
+    the amounts `cuts`. Its energy is too low. The solution `strict` was solved with limits that are
+    stricter by the amounts `margins`. Its flight satisfies the limits of the mission, but its
+    energy is too high. The least energy of the mission lies between the two energies. It is
+    interpolated linearly: to first order, the least energy changes in proportion to the change of a
+    limit. Implements docs/theory/tracking.md, eq. (10).
 
     `mission` solves the mission. `margins` and `cuts` map the full name of a parameter that sets a
     limit to an amount in its unit.

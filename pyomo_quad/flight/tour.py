@@ -130,11 +130,11 @@ class LegTable:
         square error of the regression is subtracted from the prediction. As long as no leg is
         solved, the lengths of the legs [m] serve as costs.
 
-        The cost of a leg whose solve failed is the prediction, from which nothing is subtracted.
-        This cost is not infinite, because the leg may still be possible without stops at its two
-        ends. For example, each leg of a mission of fixed duration receives a part of the duration
-        in proportion to its length. This time may be too short for a flight from hover to hover,
-        but long enough for a flight without stops.
+        If the solve of a leg failed, the cost of the leg is the prediction, from which nothing is
+        subtracted. The cost is not infinite, because the whole mission may still fly this leg
+        without stops at its two ends. An example is a mission of fixed duration. Each leg receives
+        a part of the duration, in proportion to the length of the leg. This time may be too short
+        for a flight from hover to hover, but long enough for a flight without stops.
 
         Returns
         -------

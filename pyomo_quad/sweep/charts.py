@@ -368,10 +368,10 @@ def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantit
     case has the field values of the base scenario. If the sweep lacks a field's base value, the
     central case has the middle of the field's values.
 
-    If the sweep has random fields, the bar of a field that is not random shows the quantity's mean
-    over the random draws. For the bar of a random field, a linear function of all random
-    fields is fitted to the quantity. The bar is the range of this function as the field varies
-    between the 5 % and 95 % quantiles of its draws.
+    Some fields of a sweep may have random values. For a field that is not random, the quantity is
+    then averaged over the random draws. The bar is the range of this average. For a random field, a
+    linear function of all random fields is fitted to the quantity. The bar is the range of this
+    function as the field varies between the 5 % and 95 % quantiles of its draws.
 
     Parameters
     ----------

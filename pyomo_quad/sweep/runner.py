@@ -251,13 +251,13 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        `case` is a case that has ended in this run without being lost. The children of a case are
-        the neighbouring cases whose solves start from the solution of this case. The descendants
-        are the children, the children of the children, and so on.
+        A case is lost if its worker process dies. The children of a case are the neighbouring cases
+        whose solves start from the solution of this case. The descendants are the children, the
+        children of the children, and so on.
 
-        A case is lost if its worker process dies. A lost case has no solution, so its children
-        start from the solution of its parent. As soon as the case has ended in a later run, its
-        descendants are solved again. All rows then equal the rows of a sweep in which no worker
+        A lost case has no solution. Its children were therefore solved from the solution of its
+        parent instead. `case` has ended in this run and was not lost. If an earlier run lost it,
+        its descendants are solved again. All rows then equal the rows of a sweep in which no worker
         died.
 
         Returns

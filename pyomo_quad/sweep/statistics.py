@@ -282,9 +282,10 @@ class SweepResults:
         case has the field values of the base scenario. If the sweep lacks a field's base value, the
         central case has the middle of the field's values.
 
-        For a field with given values, the range is taken over all values of the field. The first
-        and the last value do not suffice: at both ends of a full turn of an angle, the quantity is
-        the same. If the sweep also has random fields, the quantity is averaged over their draws.
+        For a field with given values, the range is taken over all values of the field, not only
+        over the first and the last value. If the field is an angle over a full turn, for example,
+        the quantity is the same at the first and the last value. If the sweep also has random
+        fields, the quantity is averaged over their draws.
 
         For a random field, a linear function of all random fields is fitted to the quantity by
         least squares. The range is that of the fitted function between the 5 % and 95 % quantiles

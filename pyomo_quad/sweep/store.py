@@ -452,12 +452,12 @@ class ResultStore:
             )
 
     def replace_design(self, design: SweepDesign, *, is_extended: bool) -> None:
-        """Replace the stored design by a design that contains all stored cases.
+        """Replace the stored design by a new design, and keep the stored rows.
 
-        If the axes differ, the warm starts of the previous run are deleted. A warm start is a
-        solution from which neighbouring cases start. With other axes, the cases have other
-        neighbours. If the warm starts were kept, the results would depend on which warm starts the
-        previous run had stored.
+        The new design must contain all stored cases. If the axes of the two designs differ, all
+        stored warm starts are deleted. A warm start is a solution from which neighbouring cases
+        start. With other axes, a case has other neighbours. The previous run has stored warm starts
+        of some cases only. If these were kept, the results would depend on which cases they are.
 
         Parameters
         ----------

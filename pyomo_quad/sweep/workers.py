@@ -1,9 +1,9 @@
 """Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
-Processes and cluster both offer an Executor of `concurrent.futures`. `Workers` recovers from the
-death of a worker, for example because the worker runs out of memory. The broken executor is then
-replaced. Any of the running cases may have killed the worker, so all of them are solved again, one
-at a time. If a worker dies again during a case, the case is given up, and the other cases continue.
+Processes and cluster both offer an Executor of `concurrent.futures`. A worker may die, for example
+if it runs out of memory. The executor is then broken, and `Workers` replaces it. Any of the running
+cases may have killed the worker. All of them are therefore solved again, one at a time. If a worker
+dies again during a case, the case is given up, and the other cases continue.
 """
 
 from collections import deque
@@ -72,7 +72,8 @@ class Workers:
     def room(self) -> int:
         """Number of further cases that may be submitted now.
 
-        The number is 0 while cases that may have killed a worker are solved again, one at a time.
+        After a worker has died, the cases that were running are solved again, one at a time. During
+        this time the number is 0.
         """
         if self._suspects or self._is_alone:
             return 0

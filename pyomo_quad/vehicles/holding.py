@@ -1,4 +1,8 @@
-"""Comparison of computed with measured powers, for vehicles of the library or with a data sheet."""
+"""Comparison of computed with measured powers of vehicles.
+
+The vehicles of the package's library are compared with measurements. Vehicles of which only data
+sheets exist are compared with the published hover powers.
+"""
 
 import tomllib
 from collections.abc import Mapping
