@@ -443,9 +443,9 @@ def fly_baseline(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        The plan to follow, if the reference is the plan. For any reference, the costates of the
-        plan at its end give an estimate of the energy still needed: from the final state of the
-        flight to hover at the goal.
+        The plan to follow, if the reference is the plan. With any reference, a given plan also
+        serves to estimate the energy that the vehicle still needs to get from the final state of
+        the flight to hover at the goal. The estimate uses the plan's costates at its end.
 
     Returns
     -------
@@ -674,10 +674,10 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Some tolerances are larger than for plans. The largest distance from a waypoint may be exceeded
-    by the distance from the goal that is tolerated on arrival. The largest speed at a waypoint may
-    be exceeded by the speed that is tolerated on arrival. The yaw rate in a mission with constant
-    heading is not checked: feedback must be free to turn the vehicle back to this heading.
+    Some tolerances are larger than for plans. At a waypoint, the flight may exceed the limit on the
+    distance by `ARRIVAL_DISTANCE_M` [m] and the limit on the speed by `ARRIVAL_SPEED_M_PER_S`
+    [m/s], the tolerances on arrival at the goal. In a mission with constant heading, the yaw rate
+    is not checked: feedback must be free to turn the vehicle back to this heading.
 
     Parameters
     ----------

@@ -245,9 +245,10 @@ class Miss:
         The limit in words, such as "distance from waypoint 1".
     field : str
         Scenario field that sets the limit, such as the radius of the waypoint. If the field is
-        tightened for the plan, fewer flights break the limit. The string is empty if there is no
-        such field. An example is the goal, which the plan already reaches exactly. Only a larger
-        reserve of thrust for the controller then makes fewer flights break the limit.
+        tightened for the plan, fewer flights break the limit. The string is empty if no field can
+        be tightened. This is so at the goal, for example, because the plan already reaches the goal
+        exactly. Without a field, only a larger reserve of thrust for the controller makes fewer
+        flights break the limit.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float

@@ -235,10 +235,11 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, its result is kept as a failed solution. A mission without
-        regeneration is an exception: the result is discarded, and other strategies are tried. Such
-        a mission is hard to solve directly, because its power has a kink at zero: a rotor that
-        brakes returns no energy.
+        If the solve does not converge, its result depends on the mission. In a mission with
+        regeneration, the result is kept as a failed solution. In a mission without regeneration,
+        the result is discarded, and other strategies are tried. Without regeneration, a rotor that
+        brakes returns no energy. The power therefore has a kink at zero, and the mission is hard to
+        solve directly.
 
         Returns
         -------
@@ -345,9 +346,9 @@ class Candidate:
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed. The method
-        `past_waypoints` uses the solution of the easier mission as initial guess. The mission has
-        an easier mission if a waypoint has a radius or a speed limit.
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed. There is
+        an easier mission only if a waypoint of the mission has a radius or a speed limit. The
+        method `past_waypoints` uses the solution of the easier mission as initial guess.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -499,9 +500,10 @@ class Candidate:
         limits. The mission is judged infeasible if the solution of the elastic problem violates a
         limit, and `find_shortest` found no flight within the mission's duration.
 
-        Even in these cases, the mission is not judged infeasible if a flight on a coarse mesh kept
-        all limits, or if another route through a wind field may exist. The elastic problem cannot
-        exclude another route, because it is solved near the best iterate of one failed solve only.
+        Both cases have two exceptions, in which the mission is not judged infeasible. The first
+        exception is a flight that kept all limits on a coarse mesh. The second exception is a wind
+        field through which another route may exist. The elastic problem cannot exclude another
+        route: it is solved near one iterate only, the best iterate of a failed solve.
 
         If the mission is not judged infeasible, the status is "not converged".
         """
@@ -584,8 +586,10 @@ class Candidate:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
         The result is True if the simulated flight deviates from the plan although the solve
-        converged (see `is_astray`). The result is always False at the highest accuracy, `proof`.
-        Stricter limits cost energy, and a scenario with this accuracy does not allow them.
+        converged (see `is_astray`). A broken limit is one kind of deviation.
+
+        The result is always False if the scenario requests the highest accuracy, `proof`. Stricter
+        limits cost energy, so that they are not used at this accuracy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 

@@ -649,9 +649,9 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The planned acceleration itself is not reduced, because a plan keeps the limits of the
-        vehicle. If a plan needs more thrust or tilt than the limits of this set allow, these limits
-        are raised to what the plan needs.
+        The planned acceleration itself is not reduced. If it needs more thrust or tilt than the
+        limits of this set allow, these limits are raised to what it needs. The reason: a plan
+        already keeps the limits of the vehicle.
 
         Parameters
         ----------

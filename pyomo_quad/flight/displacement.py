@@ -123,9 +123,10 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
     Returns
     -------
     tuple of Push
-        One push for each time span that the flight spends inside a zone. The push lasts as long as
-        this time span. It has the direction of the shortest way out of the zone, from the place
-        where the flight is deepest inside. It is somewhat longer than this way.
+        One push for each time span that the flight spends inside a zone. The push has its full
+        displacement during this time span. The vector of the displacement has the direction of the
+        shortest way out of the zone, from the place where the flight is deepest inside. The length
+        of the vector is somewhat more than the length of this way.
     """
     found: list[Push] = []
     for name, depth in _depths(limits).items():

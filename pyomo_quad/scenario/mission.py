@@ -344,11 +344,11 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the new values of the fields that must change if a free duration is fixed.
+        """Return the new values of fields that turn a free duration into a fixed duration.
 
-        The limits on the duration get their defaults. The price of time, the energy equivalent of a
-        second [W], also gets its default. The aim of least time is replaced by the aim of least
-        energy, because the duration is now fixed.
+        The fields that are allowed only with a free duration get their defaults: the limits on the
+        duration, and the price of time (the energy equivalent of a second [W]). The aim of least
+        time is also allowed only with a free duration; it is replaced by the aim of least energy.
 
         Parameters
         ----------

@@ -934,8 +934,9 @@ def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
     """Return the path and the value [s] of the field that limits the duration of the mission.
 
     The field is `mission.duration` for a fixed duration, and `mission.duration_max` for a free one.
-    The value is None if the field is missing. A measured wind must cover the flight up to this
-    duration. `tables` are the scenario's tables.
+    The value is None if the field is missing. `tables` are the scenario's tables.
+
+    The result serves to check that a measured wind is long enough for the mission.
     """
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")

@@ -68,8 +68,8 @@ def paths_in_declared_units(
     Parameters
     ----------
     assignments : mapping
-        New value of each overridden field, by path. A key such as `roll_max_deg` at the end of the
-        path states another unit.
+        New value of each overridden field, by path. If the value is in another unit, the path ends
+        with a key such as `roll_max_deg` in place of the field `roll_max`.
     model : type of BaseModel
         Pydantic class that declares the fields, and the keys for other units.
 

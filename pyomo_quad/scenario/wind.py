@@ -496,9 +496,10 @@ def with_air_density(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        Tables of the complete scenario, if `tables` is a changed copy of its tables. The
-        coefficients in `tables` are then valid at the air density of that scenario. None for a new
-        scenario, whose coefficients are valid at the air density at sea level.
+        Tables of the original scenario, if `tables` belongs to a changed copy of a complete
+        scenario. The coefficients in `tables` are then valid at the air density of the original
+        scenario. None for a new scenario, whose coefficients are valid at the air density at sea
+        level.
     provenance : dict
         Origin of each value by dotted path. The function changes the origins of scaled values.
 

@@ -30,9 +30,9 @@ def draw_causes(study: OutsideStudy) -> "Figure":
 
     RotorPy's model differs from the package's own model in several features. Each line is one
     flight in RotorPy. In most of the flights, exactly one feature differs from the package's model,
-    and the line shows the effect of this feature. For comparison, no feature differs in one flight,
-    and one flight has RotorPy's own defaults. The first panel has flights without feedback, the
-    second panel flights under the adaptive controller.
+    and the line shows the effect of this feature. Two more lines are for comparison: a flight in
+    which no feature differs, and a flight with RotorPy's own defaults. The first panel has flights
+    without feedback, the second panel flights under the adaptive controller.
 
     Parameters
     ----------

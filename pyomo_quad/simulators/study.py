@@ -83,8 +83,9 @@ Track = tuple[np.ndarray, np.ndarray]
 class Plant(StrEnum):
     """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
 
-    `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation with settings for the
-    equations of the package's model. `AS_IT_COMES` is RotorPy's simulation with its own defaults.
+    `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation, set so that its
+    equations are those of the package's model. `AS_IT_COMES` is RotorPy's simulation with RotorPy's
+    own defaults.
     Each further member differs from `ROTORPY` in the feature that its value names.
     """
 
@@ -599,9 +600,10 @@ def _rows(
     reference trajectory. It contains the difference of the two energies in percent, and the
     distance between the two final positions.
 
-    The flight of the package's own model comes before the flight in RotorPy in `flights`. If
-    possible, a flight under the same controller is chosen, and otherwise one under the adaptive
-    controller. A flight of the package's own model is compared with itself.
+    A flight in RotorPy is compared only with flights of the package's own model that precede it in
+    `flights`. It is compared with the flight under the same controller if there is one, and
+    otherwise with the flight under the adaptive controller. A flight of the package's own model is
+    compared with itself.
 
     Parameters
     ----------

@@ -139,9 +139,10 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The autopilot waits at the goal until the vehicle is near the goal and nearly at rest. The wait
-    is at most the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. In a mission of
-    fixed duration, the autopilot waits at least to the end of the mission.
+    When the autopilot's reference trajectory reaches the goal, it stays there until the vehicle is
+    near the goal and nearly at rest. This wait is at most the longest time in `SETTLINGS_S`, a
+    tuple of waiting times [s]. In a mission of fixed duration, the wait lasts at least to the end
+    of the mission.
 
     Parameters
     ----------
