@@ -3,10 +3,13 @@
 A plan is an optimised flight. A run is a plan together with the baseline flights that it is
 compared with.
 
-Methods such as `Plan.plot` need the module `pyomo_quad.report.presenting`, the presenter, which
-imports matplotlib. Modules of plans and runs must not import the presenter, because it belongs to a
-higher package. Therefore `pyomo_quad/__init__.py` registers here a function that imports the
-presenter. The methods of plans and runs call `presenter()` to get it.
+The presenter is the module `pyomo_quad.report.presenting`, which draws plans and runs and writes
+their reports. Methods such as `Plan.plot` need the presenter. They call the function `presenter` of
+this module to get it.
+
+The modules of plans and runs must not import the presenter. The presenter imports matplotlib, and
+belongs to a package that depends on the packages of plans and runs. Therefore
+`pyomo_quad/__init__.py` registers here a function that imports the presenter when it is needed.
 """
 
 from collections.abc import Callable

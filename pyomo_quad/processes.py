@@ -45,8 +45,8 @@ def side_by_side(
 
     There is at most one process per core. A copy starts with all libraries and data of this
     process, and ends with this process. If a task fails in a copy, or its result cannot be sent
-    back, the task is repeated in this process, which raises the error. All tasks run in this
-    process where a fork is not safe (see `cores`).
+    back, the task is run once more in this process. If it fails again, this process raises the
+    error. All tasks run in this process where a fork is not safe (see `cores`).
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def side_by_side(
     is_stopped : callable, optional
         Function that returns whether the tasks were stopped, for example by the user. It is called
         every tenth of a second while this process waits for the copies. When it returns True, this
-        process stops waiting and runs the unfinished tasks itself. A task that has been stopped
-        should end at once when it is run.
+        process stops waiting and calls the unfinished tasks itself. A task should therefore return
+        at once if it is called after a stop.
 
     Yields
     ------

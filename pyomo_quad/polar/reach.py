@@ -168,9 +168,9 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the least state of charge. Its table `mission.return_flight`, the settings of
-        a return flight, states the rate of climb. The table may also state the battery current of
-        the climb. Otherwise the function `climb_current` computes the current.
+        Scenario with the least state of charge and, in `mission.return_flight`, the rate of climb.
+        `mission.return_flight` may also give the battery current of the climb. If it does not, the
+        function `climb_current` computes the current.
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve

@@ -56,12 +56,14 @@ class Drawing:
 
 
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
-    """Return copies of figures with the requested file formats; none for `Figures.NONE`.
+    """Return the figures of a report, with the file formats in which they are to be written.
+
+    The result has a copy of each item of `drawings`. It is empty for `Figures.NONE`.
 
     Parameters
     ----------
     drawings : iterable of Drawing
-        Figures of a report.
+        Figures of a report that are not drawn yet.
     figures : Figures
         File formats that the user requests, or `Figures.NONE` for a report without figures.
     """

@@ -34,9 +34,12 @@ if TYPE_CHECKING:
 class TimeSymbol:
     """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    As an index it equals the template time, the added interior time at which equations are read.
-    ``m.x[t]`` is thus the member at the template time. In arithmetic the symbol is a Pyomo
-    parameter that stands for physical time.
+    A rule may use its time in three ways:
+
+    - As an index, the symbol equals the template time. This is an interior time that was added to
+      the continuous set. The rule's ``m.x[t]`` is the member at the template time.
+    - In arithmetic, the symbol is a Pyomo parameter that stands for physical time.
+    - In a comparison, the symbol is a number.
 
     Parameters
     ----------
@@ -45,16 +48,15 @@ class TimeSymbol:
     parameter : Param
         Parameter that stands for physical time in arithmetic.
     declared : tuple of float, optional
-        Declared times (members of the continuous set). A rule may compare the symbol with these
-        times; such a comparison does not count as reading the symbol's number.
+        Times that the continuous set has in the user's own model.
     number : float, optional
         Number used in comparisons; the template time by default.
 
     Attributes
     ----------
     is_read : bool
-        Whether the rule read the number, other than to compare it with a declared time. The result
-        of the call then does not serve all times.
+        Whether the rule used the number of the symbol. If it did, the result of the call does not
+        serve all times. A comparison with a declared time does not count.
     """
 
     def __init__(
@@ -166,9 +168,9 @@ for _operation in (
 class Instant(float):
     """Number that a rule receives as its time, and that equals the template time as an index.
 
-    The template time is the added interior time at which equations are read. A rule that branches
-    on time is called with several instants. The variables in all of its results are the members at
-    the template time.
+    The template time is an interior time that was added to the continuous set. A rule that branches
+    on time is called with several instants. Each instant is another number, but as an index it is
+    always the template time. The results therefore contain the variables at the template time only.
     """
 
     __slots__ = ("template",)
@@ -498,10 +500,10 @@ class Declarations:
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
         Symbols for quantities that depend on time but have no CasADi expression of time. Python
-        evaluates these quantities at each collocation point. Some of them belong to a rule that
-        branches on time or looks up numbers by time: the branch that the rule takes, and the
-        numbers in the branch. Others tell in which phase of the horizon a time lies, if free times
-        divide the horizon into phases.
+        evaluates these quantities at each collocation point. There are two kinds. A rule that
+        branches on time, or looks up numbers by time, has a symbol for the branch that it takes and
+        symbols for the numbers in the branch. A horizon that free times divide into phases has
+        symbols that tell in which phase a time lies.
     clock : PhaseTimes
         Physical times in CasADi symbols: start and end of the horizon, and the free times. A free
         time is a time that the solve determines.
@@ -778,9 +780,12 @@ class SymbolTable:
     def _physical_time(self, time: float) -> Any:
         """Return the physical time that corresponds to a time in an index, as a CasADi expression.
 
-        `time` is the time in the index. The template time (the added interior time at which
-        equations are read) gives an expression that holds at any time. A declared time (a member of
-        the continuous set that the user gave it) gives the physical time at that member.
+        `time` is the time in the index. There are two cases:
+
+        - The template time is an interior time that was added to the continuous set. The result is
+          then physical time as a function of the fraction of the horizon.
+        - A declared time is a member that the continuous set has in the user's own model. The
+          result is then the physical time of this member.
         """
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 

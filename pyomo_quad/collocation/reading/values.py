@@ -135,9 +135,9 @@ class ModelValues:
         overrides : mapping, optional
             Values that replace the values in the model, by component or full name.
         horizon : (float, float), optional
-            Start and end of the horizon; by default the ends of the continuous set. They are the
-            values of two parameters of the model. If a static variable determines the start or the
-            end, that parameter does not exist, and the value here has no effect.
+            Start and end of the horizon; by default the ends of the continuous set. Start and end
+            are parameters of the model. An exception is a start or end that a static variable
+            determines: its value here has no effect.
 
         Raises
         ------
@@ -215,8 +215,9 @@ class ModelValues:
         ------
         TranscriptionError
             If a parameter over time has neither a rule nor a value from the caller. The returned
-            function raises the error if a rule that branches on time returns an expression that was
-            not compiled. Expressions that differ only in their numbers count as one expression.
+            function raises the same error if a rule that branches on time returns an expression
+            that it did not return when the equations were compiled. Expressions that differ only in
+            their numbers count as equal.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)

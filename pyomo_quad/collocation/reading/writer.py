@@ -279,11 +279,11 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Sources of the data that vary with time without a CasADi expression of time. A `Schedule`
-        belongs to a rule that branches on time or looks up numbers by time. It gives the branch
-        that the rule takes at each time, and the numbers in the branch. A `Phases` object tells
-        which phase of the horizon contains each time. Free times (times that the solve determines)
-        divide a horizon into phases.
+        Some data depend on time but have no CasADi expression of time. The objects in this list
+        give the values of such data at any time. A `Schedule` belongs to a rule that branches on
+        time or looks up numbers by time. It gives the branch that the rule takes, and the numbers
+        in the branch. A `Phases` object belongs to a horizon that is divided into phases by free
+        times (times that the solve determines). It tells which phase contains a time.
     """
 
     def __init__(
@@ -389,32 +389,34 @@ class TemplateWriter:
         )
 
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
-        """Return the bounds for all times that a user assigned after a variable's declaration.
+        """Return a variable's bounds for all times, if a user changed the bounds after declaration.
 
-        `slot` is the variable. A user may assign bounds to the members of the variable at the
-        declared times (members of the continuous set). If the bounds are unchanged at one or more
-        declared times, the result is None. If they were changed at every declared time, there are
-        four cases:
+        `slot` is the variable. It has one member at each declared time (time in the continuous
+        set), and a user can change the bounds of these members. If one or more members keep their
+        declared bounds, the result is None. If the bounds of all members were changed, the result
+        depends on the kind of variable.
 
-        - An algebraic variable, or a state with a fixed member, has the same bounds at all declared
-          times. These bounds apply at all times, and are the result.
-        - An algebraic variable, or a state with a fixed member, has different bounds at the
-          declared times. This is an error.
-        - Any other state has different bounds at the declared times. The bounds apply at the
-          declared times only, and the result is None.
-        - Any other state has the same bounds at all declared times. This is an error, because it is
-          unclear whether the bounds apply between the declared times.
+        An algebraic variable, or a state with a fixed member:
+
+        - If all members have equal bounds, these bounds apply at all times and are the result.
+        - If the bounds differ from member to member, an error is raised.
+
+        A state without a fixed member:
+
+        - If the bounds differ from member to member, they apply at the declared times only. The
+          result is None.
+        - If all members have equal bounds, an error is raised. It is unclear whether these bounds
+          apply between the declared times.
 
         Returns
         -------
         (lower, upper) or None
-            Bounds that apply at all times. None if the bounds apply at the declared times only, or
-            were left unchanged at one or more declared times.
+            Bounds that apply at all times, or None.
 
         Raises
         ------
         TranscriptionError
-            In the second and the fourth case.
+            If the changed bounds do not tell which bounds apply between the declared times.
         """
         members = [self._member(slot, time) for time in self.copy.declared_times]
         if any(m.bounds == self.declared_bounds(m) for m in members):
@@ -531,14 +533,15 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint's member at a declared time, with free times in place of numbers.
+        """Return a constraint's member at a declared time, with the physical time as a symbol.
 
-        A declared time is a member of the continuous set. A free time is a variable that gives the
-        physical time of a declared time. An example is a constraint with the rule ``m.x[t] == t``.
-        The number on the right-hand side becomes the physical time, an expression of free times.
+        A declared time is a member of the continuous set. Its physical time may be free (determined
+        by the solve). An example is a constraint with the rule ``m.x[t] == t``. The user's model
+        has a number on the right-hand side. In the result, a symbol for the physical time replaces
+        this number.
 
-        `data` is the member, a Pyomo data object. If its physical time depends on no free time, it
-        is returned unchanged.
+        `data` is the member, a Pyomo data object. If its physical time does not depend on the
+        solve, the member is returned unchanged.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -714,7 +717,7 @@ class TemplateWriter:
         index : tuple
             Index of its member without the time: (i,) for ``x[i, t]``.
         rule : Pyomo initializer
-            Maker of the members.
+            Rule of `component`, in the form in which Pyomo stores it.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:

@@ -36,11 +36,11 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the indices of elements at which limits on algebraic variables change, and no others.
+    """Return the indices of elements at which only limits on algebraic variables change.
 
-    A limit changes at an element if it becomes active or inactive in the element or beside it. If a
-    limit that involves a state changes at an element, the costate of the state may jump there. Such
-    an element is left out.
+    A limit changes at an element if it becomes active or inactive in the element or beside it.
+    Elements at which a limit that involves a state changes are left out, because the costate of the
+    state may jump there.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)

@@ -146,17 +146,18 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    Some errors of the elements add up over the elements. Attributes with such errors are marked
-    "extrapolated". The entry of an element is then its own error times the number of elements, but
-    at most the sum over all elements. It can be compared with the tolerance for the whole horizon.
+    The errors of the elements are compared with the tolerance, which applies to the whole horizon.
+    Some kinds of error add up over the elements. They are therefore extrapolated to the whole
+    horizon: the error of an element is multiplied by the number of elements, but the product is at
+    most the sum of the errors of all elements.
 
     Attributes
     ----------
     states : ndarray, shape (n_elements, n_states)
         Largest error of each state between the collocation points, relative to the state's
         magnitude. The magnitude is the larger of the state's largest value and its nominal
-        magnitude (1 unless declared). The error is scaled so that the allowed error equals the
-        tolerance.
+        magnitude (1 unless declared). If the states have a tolerance of their own, the errors are
+        scaled so that they can be compared with the tolerance for all errors.
     violation : ndarray, shape (n_elements,)
         Violation of path equations and bounds between the collocation points, relative to max(1,
         abs(bound)).
@@ -168,9 +169,9 @@ class ErrorEstimate:
         relative to the objective's own magnitude. Zero unless all other errors are below the
         tolerance.
     costs : ndarray, shape (n_elements,)
-        The values of the attribute `objective`, converted to be relative to the objective's own
-        magnitude, and doubled. The factor of two allows for the unknown error of the controls. Zero
-        unless all other errors are below the tolerance.
+        Twice the change of the objective in the attribute `objective`, but relative to the
+        objective's own magnitude. The factor of two allows for the unknown error of the controls.
+        Zero unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
         Cost of the bounds that are imposed between the collocation points. Extrapolated, and
         relative to the nominal magnitude of the objective. The cost may use up only half of the
@@ -179,8 +180,8 @@ class ErrorEstimate:
         Error of the quadrature. The error of the objective is relative to the objective, and the
         error of an integral is relative to max(1, abs(integral)).
     miss : ndarray, shape (n_elements,)
-        Effect of the state errors on the final states, scaled so that the allowed effect equals the
-        tolerance.
+        Effect of the state errors on the final states. The final states have a tolerance of their
+        own. The effect is scaled so that it can be compared with the tolerance for all errors.
     gap : float
         Complementarity gap that the barrier leaves, relative to the objective. A finer mesh does
         not reduce the gap.
@@ -452,8 +453,8 @@ def _sampled(
         Degree of an element -> sample times in the element. The times are numbers from 0 (start of
         the element) to 1 (end); the last time is 1.
     is_defined : bool, default True
-        Whether the value of an algebraic variable that an equation defines comes from this
-        equation. If False, the value comes from the variable's polynomial.
+        Some algebraic variables are defined by an equation. If True, their values are computed from
+        the equation; if False, from the polynomials of the variables.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     places = [grid(d) for grid in grids for d in mesh.degrees]
@@ -735,15 +736,15 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    The measure of a violation depends on its kind:
+    Violations of different kinds are measured differently:
 
-    - For an equation, the measure is the relative residual, times `weight`.
-    - For a limit on controls alone, the measure is the change of states by the violation within the
-    element.
-    - For any other limit, the measure is the effect of the violation on the objective, estimated
-    from the multipliers of the bounds on states.
+    - An equation is measured by its relative residual, times `weight`.
+    - A limit on controls alone is measured by the change of the states within the element that the
+      violation causes.
+    - Any other limit is measured by the effect of the violation on the objective. The effect is
+      estimated from the multipliers of the bounds on states.
 
-    If a limit is violated by more than its tolerance, the measure is the violation itself.
+    A limit that is violated by more than its tolerance is measured by the violation itself.
 
     Parameters
     ----------
@@ -756,8 +757,8 @@ def _breaches(
         limits.
     weight : float
         Factor on the relative residuals of equations. It is 1 if `allowance` has no tolerance on
-        the states. Otherwise, the larger this tolerance is, the smaller is the factor, and the
-        larger are the residuals that are allowed.
+        the states. Otherwise a larger tolerance gives a smaller factor, which allows larger
+        residuals.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

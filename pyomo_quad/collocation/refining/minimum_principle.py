@@ -2,10 +2,11 @@
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
-At the solution of a nonlinear program, small changes of a control gain nothing. Large changes may
-gain if the Hamiltonian has two local minima. The control should switch between the minima at the
-best time, but the switch stays where the solve on the first mesh placed it. A finer mesh does not
-reveal the error, but Pontryagin's principle does.
+A solution of the nonlinear program is a local minimum: a small change of a control does not reduce
+the objective. If the Hamiltonian has two local minima, a large change of the control may reduce it.
+The optimal control switches from one minimum to the other at a certain time. On the first mesh the
+solve may place this switch at a wrong time. The switch then stays there on all finer meshes. Mesh
+refinement does not reveal the error, but Pontryagin's principle does.
 
 On a singular arc the objective is flat about its optimum: it hardly depends on the states. The
 states may then be inaccurate although the error of the objective is small. The inaccuracy of the
@@ -142,14 +143,16 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     """Return the free controls for which the Hamiltonian may have several local minima.
 
     A free control is a bounded algebraic variable that appears in no algebraic equation. It can
-    therefore be changed alone. Between two minima, the second derivative of the Hamiltonian with
-    respect to the control is somewhere negative. The second derivative is evaluated at all
-    collocation points, for several values between the bounds of the control. A control is included
-    if any result is negative.
+    therefore be changed alone.
 
-    The second derivative is computed with the rates (time derivatives of the states) unchanged. It
-    therefore gives no information if an equation contains a rate times a function of the control.
-    Such a control is always included.
+    Between two minima, the second derivative of the Hamiltonian with respect to the control is
+    somewhere negative. The second derivative is evaluated at all collocation points, for several
+    values between the bounds of the control. A control is included if any of these second
+    derivatives is negative.
+
+    A control is also included if an equation contains a product of a rate (time derivative of a
+    state) and a function of the control. For such a control the sign of the second derivative
+    shows nothing, because the second derivative is computed with constant rates.
 
     Parameters
     ----------
@@ -251,12 +254,13 @@ def state_error(
     - The largest estimated error of the solution.
     - The errors of a state, added over all elements and doubled. The factor of two allows for the
       unknown error of the controls.
-    - With a singular arc: a multiple of a root of the largest relative error, or of `change` if
-      `change` is larger. The objective is flat about its optimum on a singular arc. A small error
-      of the objective therefore permits this larger error of the states.
+    - With a singular arc: c e^p, where e is the largest estimated error, or `change` if `change` is
+      larger. The numbers c and p < 1 depend on the order of the singular arc. On a singular arc the
+      objective hardly depends on the states. A small error e of the objective therefore permits the
+      larger error c e^p of the states.
 
-    Three more numbers count if `before` is given. Limits then become active or inactive inside
-    elements, and the mesh restricts the times at which they do so.
+    If `before` is given, limits become active or inactive inside elements. The mesh then restricts
+    the times at which they do so. Three more numbers count:
 
     - The violation of limits.
     - The change of the states if a control jumps at another time within a narrow element. A narrow
@@ -303,13 +307,16 @@ def state_error(
 
 
 def singular_order(solution: Solution) -> int:
-    """Return the order of a singular arc of a solution: 0 (no singular arc), 1, or 2 (2 or higher).
+    """Return the order of a singular arc: 0 without singular arc, 1, or 2 for order 2 and higher.
 
-    On a singular arc a control lies between its limits, and the Hamiltonian has no curvature in the
-    control. This curvature is a second derivative with the states unchanged. Rates (derivatives of
-    the states) and other algebraic variables change with the control as the equations require. The
-    arc is of order 1 if the Hamiltonian has curvature in the direction in which the control drives
-    the states (Robbins 1967; Kelley, Kopp and Moyer 1967).
+    On a singular arc a control lies between its limits, and the second derivative of the
+    Hamiltonian with respect to the control is zero. In this derivative the states are constant. The
+    rates (derivatives of the states) and the other algebraic variables change with the control in
+    such a way that all equations stay satisfied.
+
+    A change of the control changes the rates, and so drives the states in a direction. The arc is
+    of order 1 if the second derivative of the Hamiltonian in this direction is not zero (Robbins
+    1967; Kelley, Kopp and Moyer 1967).
 
     Two kinds of collocation points are not examined:
 

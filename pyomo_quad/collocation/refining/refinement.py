@@ -404,16 +404,16 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        The refinement may end if all errors meet the tolerance. A second condition applies if
-        limits become active or inactive in or beside elements, or if controls are damped (penalised
-        for their distance from the controls of the previous mesh). The objective must then have
-        changed by at most half the tolerance since the previous mesh. The second condition is
-        dropped in two cases:
+        The refinement may end under two conditions. First, all errors meet the tolerance. Second,
+        the objective has changed by at most half the tolerance since the previous mesh.
 
-        - a later simulation corrects the controls by feedback;
-        - no controls are damped, and the next meshes would be the present meshes.
+        The second condition applies only if limits become active or inactive in or beside elements,
+        or if controls are damped. Damping is a penalty on the distance of controls from the
+        controls of the previous mesh. The second condition is dropped in two cases:
 
-        With damping, the next meshes may be the present meshes.
+        - A later simulation corrects the controls by feedback.
+        - No controls are damped, and the refinement would not change the meshes. With damping, the
+          problem may be solved again on unchanged meshes.
 
         Parameters
         ----------
@@ -505,10 +505,10 @@ class _Refinement(Generic[S]):
         """Return the relative complementarity gap at which the next solve may stop.
 
         The complementarity gap is the amount by which Ipopt's barrier changes the objective, here
-        divided by the objective. The result is 0.3 times an error, but at least 0.2 times the
-        tolerance and at most 1e-3. The error is the estimated relative error of objective and
-        integrals. If bounds are imposed between the collocation points, the error is at least the
-        relative change of the objective since the previous mesh.
+        divided by the objective. The result is 0.3 e, but at least 0.2 times the tolerance and at
+        most 1e-3. Here e is the estimated relative error of objective and integrals. If bounds are
+        imposed between the collocation points, e is at least the relative change of the objective
+        since the previous mesh.
 
         A smaller gap is not useful while the times at which limits become active still change from
         mesh to mesh.
