@@ -271,9 +271,9 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that demands cause, at the element boundaries.
 
-    The displacement of the demands changes position and velocity. It does not change roll and
-    pitch: the regulator finds the tilt that the displaced path needs. During the demanded hovers,
-    the velocity is changed to zero. The shifts of the demands change tilt, speed and rotor speeds.
+    Demanded pushes displace the path: they change position and velocity. They do not change roll
+    and pitch, because the regulator finds the tilt that the displaced path needs. During demanded
+    hovers, the velocity is changed to zero. Demanded shifts change tilt, speed and rotor speeds.
 
     If the mission requires a constant heading, yaw angle and yaw rate are changed, too, so that the
     heading of the path is constant. The heading of the coarse solution is constant at its

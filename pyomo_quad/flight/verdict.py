@@ -105,8 +105,8 @@ def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
 def energy_of(scenario: Scenario, solution: Solution) -> float:
     """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-    The objective may also contain the duration, times a price of time, and the energy lost inside
-    the battery.
+    The objective may contain further terms: the product of the duration and a price of time, and
+    the energy lost inside the battery.
     """
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
@@ -141,7 +141,8 @@ def verified(
         Accuracy to confirm; by default the scenario's accuracy.
     least_energy : float, optional
         Least energy of the mission [J], with which the plan's energy is compared; by default the
-        energy of the solution. Needed for a solution with stricter limits than the mission.
+        energy of the solution. If the solution has stricter limits than the mission, its energy is
+        not the least energy of the mission, and this argument is needed.
     is_rough : bool, optional
         Whether a usable plan is enough. A usable plan is a plan that simulation confirms at lower
         accuracy than requested.
@@ -256,7 +257,7 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
     Demands are changes of the path that the vehicle follows under feedback. The new demands push
     the path out of the zones that the flight entered. They shift the path away from the limits on
     tilt, speed and rotor speeds that the flight exceeded. If the flight moved during a hover, the
-    new demands are also to rest during all hovers.
+    new demands also require rest during all hovers.
 
     Parameters
     ----------

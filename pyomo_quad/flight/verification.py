@@ -228,8 +228,8 @@ class Verification:
         (`scenario.accuracy.USABLE`). These are the tolerances of the lowest accuracy, but wider for
         the final states.
     reached : Accuracy or None
-        The highest accuracy, up to the required accuracy, whose tolerances are met by all
-        deviations and shortfalls; None if there is no such accuracy.
+        The highest accuracy level whose tolerances all deviations and shortfalls meet. Levels above
+        the required accuracy are not considered. None if no level is met.
     """
 
     terminal_miss: Mapping[str, float]

@@ -286,8 +286,11 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
     Each vector has shape (3,). The first vector is the horizontal direction of the leg, even if the
-    leg is steep. A steep leg thus passes a tall zone on the left or right. Only for a vertical leg
-    is the first vector vertical. `ends` has start and end of the leg, shape (2, 3) [m].
+    leg is steep. Only for a vertical leg is the first vector vertical. `ends` has start and end of
+    the leg, shape (2, 3) [m].
+
+    The vectors serve to name the side on which a route passes a zone. Because the first vector is
+    horizontal, a steep route beside a tall zone passes the zone on the left or right.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)

@@ -458,9 +458,11 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A change of such a parameter alters the power, but changes of the other parameters can
-    compensate the alteration. One such parameter after another is removed, the best compensated
-    first, until all remaining parameters are determined.
+    A change of a parameter alters the power. Changes of the other parameters can compensate a part
+    of this alteration. The parameter is undetermined if almost nothing of the alteration remains.
+
+    The parameter with the smallest remaining alteration is removed first. The test is then repeated
+    with the parameters that are left, until all of them are determined.
 
     Parameters
     ----------

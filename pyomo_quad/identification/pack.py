@@ -93,9 +93,9 @@ class PackIdentification:
         Fitted fields.
     flights : DataFrame
         One row for each flight. Columns: state of charge at start and end [percent], factor on the
-        resistance of the flight's pack, and two root mean square errors [mV per cell]. Both are
-        errors of the voltage of the unseen flight. One voltage is computed with the factor of the
-        flight's pack, the other with the factor 1 of a median pack.
+        resistance of the flight's pack, and two root mean square errors of the voltage of the
+        unseen flight [mV per cell]. For the first error, the voltage is computed with the factor of
+        the flight's pack. For the second error, it is computed with the factor 1 of a median pack.
     rows : DataFrame
         Time [s], measured and computed cell voltage [V] of the unseen flights.
     read_s : float
@@ -134,8 +134,8 @@ class _Flown(NamedTuple):
         Mean voltage per cell [V] and mean power [W] before the load begins. If the log begins under
         load, the values of its first row.
     aloft : int
-        Number of time steps from the first one to the last one under load, inclusive. These steps
-        count as flight.
+        Number of time steps that count as flight: all steps of the arrays up to the last step under
+        load, which is included.
     """
 
     name: object

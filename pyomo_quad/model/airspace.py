@@ -25,8 +25,8 @@ most 0.28 w = 140 mm. Elsewhere the forbidden places are exactly the zone. The c
 face outwards by the distance c, and does not round the edges between the faces.
 
 A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
-Near a corner of the prism, where several of the d_k are nearly equal, up to 0.14 w more is
-forbidden for each d_k beyond the second.
+Near a corner of the prism, more than two of the d_k may be nearly equal. The distance 0.14 w given
+above then grows by up to 0.14 w for each d_k beyond the second.
 
 The fence (`keep_in`) is a linear limit for each of its edges. The fence is exact everywhere,
 corners included, and has no clearance.

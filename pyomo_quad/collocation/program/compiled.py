@@ -279,9 +279,9 @@ def split_simple_bounds(
     Returns
     -------
     tuple of PathEquation or PointCondition
-        The constraints that are not bounds of a single variable.
+        The constraints that do not bound a single variable.
     tuple of SimpleBound
-        The bounds that replace the remaining constraints.
+        The bounds that replace the constraints on a single variable.
     """
     others, bounds = [], []
     for relation in relations:
@@ -677,12 +677,12 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the new bound of a constraint after a limit has been subtracted from its expression.
+    """Return the bound of the difference between the expression and the limit of a constraint.
 
-    The bound is a CasADi expression: 0 where the constraint has the limit, and infinite in parts of
-    the horizon in which the limit is absent. `unbounded` is a CasADi expression that is 1 where the
-    limit is absent, else 0. `none` is the infinite value: positive for an upper limit, negative for
-    a lower limit.
+    The bound is a CasADi expression. It is 0 in the parts of the horizon that have the limit, and
+    infinite in the parts without the limit. `unbounded` is a CasADi expression that is 1 in the
+    parts without the limit, else 0. `none` is the infinite value: positive for an upper limit,
+    negative for a lower limit.
     """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
@@ -780,10 +780,11 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 def _anonymous(function: Any) -> str:
     """Return the code of a CasADi function as text, without the names of the model's symbols.
 
-    `function` is the CasADi function. The names of the model's symbols contain members of the
-    model's continuous set, as in ``x[0.5]``. The text determines the hash that identifies the
-    model, and the hash must not depend on these times. In the text, the inputs of the function are
-    therefore named i0, i1 and so on.
+    `function` is the CasADi function. In the text, its inputs are named i0, i1 and so on.
+
+    The text determines the hash that identifies the model. The names of the model's symbols may
+    contain times, as in ``x[0.5]``: members of the model's continuous set. The hash must not depend
+    on these times.
     """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())

@@ -1,8 +1,8 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-Each continuous set of the model is a horizon, for which a nonlinear program is built. A constraint
-over the set, or on values at times of this set alone, belongs to the horizon's program. The
-objective and all other constraints form the coupling.
+Each continuous set of the model is a horizon, for which a nonlinear program is built. The horizon's
+program has the constraints over the set. It also has the constraints on values at single times of
+the set, if no other set is involved. The objective and all other constraints form the coupling.
 
 In the coupling, static variables (variables without time) replace the integrals over the horizons,
 and the values of variables at declared times (members of the continuous sets). A static variable
@@ -100,8 +100,8 @@ class CouplingWriter(TemplateWriter):
     Attributes
     ----------
     links : dict
-        The static variables as `Link` objects. The key is the name, with its time, of the Pyomo
-        variable that the static variable replaces.
+        The static variables as `Link` objects. The key is the name of the replaced Pyomo variable,
+        including the time, as in ``x[0]``.
     """
 
     def __init__(self, readers: list[ModelReader], statics: dict[str, Slot]) -> None:
@@ -211,9 +211,9 @@ class CoupledDeclarations:
         The name of the static variable is the key; the value is a pair: the name of the horizon,
         and the state with its declared time (a member of the continuous set).
     links : tuple of str
-        Names of the static variables that equal another variable of a horizon at a declared time,
-        such as a control. Each equality is a constraint of the horizon, and this constraint has the
-        name of the static variable.
+        Names of the static variables of the coupling that equal a variable other than a state, such
+        as a control, at a declared time. Each of these equalities is a constraint of the horizon.
+        The constraint has the name of the static variable.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]

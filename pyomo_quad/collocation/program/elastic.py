@@ -2,13 +2,12 @@
 
 Slacks are unknowns that permit a violation. There are two kinds of elastic programs.
 
-One kind keeps the objective, and has slacks in the equations over time. Near the optimum of this
-program, the equations over time can be satisfied. The optimum therefore serves as the initial point
-of a solve.
+One kind keeps the objective, and has slacks in the equations over time. Its optimum serves as the
+initial point of a solve. Near this point, the equations over time can be satisfied.
 
 The other kind has slacks in every constraint, and minimises the sum of violations instead of the
-objective. If the least sum is positive, no point near the optimum satisfies all constraints and all
-bounds of the unknowns. The problem is then reported as infeasible.
+objective. The problem is reported as infeasible if the least sum is positive. In this case, no
+point near the optimum satisfies all constraints and all bounds of the unknowns.
 """
 
 from __future__ import annotations

@@ -171,15 +171,18 @@ class SolverOptions:
     def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        If many trajectories have nearly the same cost, the controls of the optimum may differ
-        greatly from mesh to mesh. The central path is the curve of optima for positive barrier
-        parameters. A given positive parameter selects one point of this curve, and the controls at
-        the selected point differ little from mesh to mesh.
+        The central path is the curve of optima for positive barrier parameters. A given positive
+        parameter selects one point of this curve. The controls at the selected point differ little
+        from mesh to mesh. In contrast, the controls of the optimum may differ greatly from mesh to
+        mesh, if many trajectories have nearly the same cost.
 
-        If the start practically coincides with the selected point, variables that start on their
-        bounds stay there. If the start is far from the selected point, Ipopt first moves the start
-        inside the bounds, and begins with a larger barrier parameter. Without these two
-        measures, bounds that become active or inactive would shorten nearly every step.
+        The settings depend on the expected distance of the start from the selected point:
+
+        - The start practically coincides with the point (`NONE`). The settings leave variables on
+          their bounds if they start there.
+        - The start is far from the point (`FAR`). With the settings, Ipopt first moves the start
+          inside the bounds, and begins with a larger barrier parameter. Otherwise, bounds that
+          become active or inactive would shorten nearly every step.
 
         Parameters
         ----------
@@ -198,22 +201,21 @@ class SolverOptions:
         return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen))
 
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
-        """Return the settings for a warm start whose objective is expected to change by an amount.
+        """Return the settings for a warm start with a given expected change of the objective.
 
         The barrier leaves a gap in the objective: the barrier parameter times the number of
         inequality bounds. The initial barrier parameter is chosen so that this gap equals the
         expected change. With a larger gap, the iterates would first move away from the warm start
         and then return. The initial barrier parameter is at most the usual one of warm starts.
 
-        Ipopt does not reduce a barrier parameter that is below a multiple of the tolerance. An
-        initial value below this multiple would therefore remain until the end of the solve. The
-        final gap would then depend on the expected change, and would differ from mesh to mesh.
-        Instead of such a small value, the initial barrier parameter is a value that depends on the
-        tolerance alone.
+        For a small expected change, the initial barrier parameter is a value that depends on the
+        tolerance alone. A parameter chosen by the gap would be below a multiple of the tolerance.
+        Ipopt does not reduce so small a parameter, and would keep it until the end of the solve.
+        The final gap would then depend on the expected change, and would differ from mesh to mesh.
 
-        A large change of the objective shifts the times at which bounds become active. From a start
-        on the bounds, Ipopt would then take many short steps. If the expected change is large, the
-        settings therefore move the start well inside the bounds.
+        For a large expected change, the settings also move the start well inside the bounds. A
+        large change of the objective shifts the times at which bounds become active. From a start
+        on the bounds, Ipopt would then take many short steps.
 
         Parameters
         ----------
@@ -710,7 +712,7 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Return a program with added unknowns, to prevent its treatment as a square system.
+    """Return a program with added unknowns, so that Ipopt does not treat it as a square system.
 
     If there are as many equations as free unknowns, Ipopt ignores the objective, and stops at the
     first point that satisfies the equations. If there are more equations than free unknowns, Ipopt

@@ -9,9 +9,9 @@ The module therefore proceeds in three steps. First, symbols replace the calls i
 Then the expressions are differentiated, and equal terms are merged. Finally, the calls replace the
 symbols again.
 
-The differentiation may treat the symbols as constants. The symbols stand for the results of calls.
-A call returns the coefficients of a Taylor polynomial, and these coefficients count as constants in
-all derivatives. The module `collocation.reading.local_splines` creates these calls.
+The differentiation treats the symbols as constants, and this is correct. Each symbol stands for a
+result of a call: a coefficient of a Taylor polynomial. These coefficients count as constants in all
+derivatives. See `collocation.reading.local_splines`, which creates the calls.
 """
 
 from __future__ import annotations

@@ -321,13 +321,14 @@ class Contributions:
         By the chain rule, a second derivative with respect to variables i and j is multiplied by
         the outer product of the rows i and j of the matrix `variables`. The outer product has an
         entry for each pair of unknowns (a, b). Only the lower triangle of the Hessian with respect
-        to the unknowns is assembled: it has one entry for (a, b) and (b, a) together.
+        to the unknowns is assembled. In this triangle, (a, b) and (b, a) share one entry.
 
-        - If i equals j, the outer product is symmetric. Its entry for (a, b) is added to the lower
-          triangle, and the equal entry for (b, a) is dropped.
-        - If i and j differ, the second derivative is given for (i, j) only. The outer product for
-          (j, i) would be the transpose, and is not formed. In its place, the entries for (a, b) and
-          (b, a) are both added to the lower triangle, and an entry for (a, a) is doubled.
+        - If i equals j, the outer product is symmetric. Its entry for (a, b) is added to the shared
+          entry, and its equal entry for (b, a) is dropped.
+        - If i and j differ, the second derivative is given for (i, j), but not for (j, i). The
+          outer product for (j, i) is the transpose of the outer product for (i, j). The Hessian has
+          the sum of both. Therefore the entries for (a, b) and (b, a) are both added to the shared
+          entry, and an entry for (a, a) is doubled.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -391,28 +392,29 @@ class JacobianScatter:
     The inputs of the assembly are called sources. A source is a number that a CasADi function
     returns at each evaluation, such as the derivative of a path equation at a collocation point.
     The sources are in a fixed order: first the derivatives of path equations and integrands, then
-    the derivatives of conditions (constraints at declared times) and objective. An integral enters
-    the objective directly if no static variable (variable without time) stands for the integral.
+    the derivatives of conditions (constraints at declared times) and objective.
+
+    A direct integral is an integral that enters the objective directly: no static variable
+    (variable without time) stands for it.
 
     Attributes
     ----------
     rows : Scatter
         Linear map from the sources to the Jacobian of the constraints.
     objective : Scatter
-        Linear map from the sources to the gradient of the objective. Integrals that enter the
-        objective directly are held constant in this gradient.
+        Linear map from the sources to the gradient of the objective. Direct integrals are held
+        constant in this gradient.
     integrals : tuple of Scatter
-        For each integral that enters the objective directly: linear map from the sources to the
-        gradient of the integral.
+        For each direct integral: linear map from the sources to the gradient of the integral.
     slope_sources : ndarray of int
-        Positions of derivatives of the objective, counted among the sources of conditions and
-        objective. The derivatives are with respect to the integrals that enter the objective
-        directly. Derivatives that are always zero are omitted.
+        Positions of the derivatives of the objective with respect to direct integrals. Derivatives
+        that are always zero are omitted. The positions are counted from the first source of
+        conditions and objective.
     slope_integrals : ndarray of int
-        For each derivative in `slope_sources`, the position of its integral among all integrals
-        that enter the objective directly.
+        For each derivative in `slope_sources`, the position of its integral among the direct
+        integrals.
     n_integrals : int
-        Number of integrals that enter the objective directly.
+        Number of direct integrals.
     n_path_sources : int
         Number of sources of path equations and integrands.
     unknowns : int
