@@ -205,8 +205,8 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
     """Return the largest distance [m] between a plan and a cubic spline through samples of it.
 
-    The spline has the plan's position and velocity at each sample. The distance is used as the
-    deviation of a ROS 2 trajectory, which contains only samples, from the plan.
+    The spline has the plan's position and velocity at each sample. A ROS 2 trajectory contains only
+    such samples. The distance serves as the deviation of the trajectory from the plan.
 
     Parameters
     ----------
@@ -305,7 +305,8 @@ class Export:
     what : str
         What `parts` counts, such as "setpoints".
     position_error_m : float
-        Largest distance from the plan, at any time, of a vehicle that follows the file exactly.
+        Deviation of the file from the plan: the largest distance between the plan's position and
+        the position of a vehicle that follows the file exactly, at the same time.
     yaw_error_rad : float or None
         Largest deviation from the plan's heading; None if the autopilot chooses the heading.
     is_paper_plan : bool

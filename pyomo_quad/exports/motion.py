@@ -157,8 +157,9 @@ class Motion:
     degrees : tuple of int
         Polynomial degree of each element, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        Whether the plan may fly exactly at its limits. It has margins if the scenario states the
-        risk, `mission.risk`, with which a flight in turbulence may break a limit. See `ProvenPlan`.
+        Whether the scenario states no `mission.risk`, the permitted probability that a flight
+        breaks a limit. Without this risk, the plan has no margins from its limits. See
+        `ProvenPlan`.
     """
 
     name: str

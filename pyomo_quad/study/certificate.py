@@ -89,9 +89,9 @@ class ThrustMoments:
         """Return the price of thrust: the thrust vector's multiplier at each quadrature node.
 
         In the dual problem (docs/theory/bound.md, eq. (8)) each of the two weighted integrals of
-        the thrust has a Lagrange multiplier. The price of thrust at a node is a sum over the two
-        integrals: multiplier of the integral times weight of the thrust in the integral at the
-        node.
+        the thrust has a Lagrange multiplier. At a node, the multiplier of each integral is
+        multiplied by the weight that the thrust has in this integral. The price of thrust is the
+        sum of the two products.
 
         Parameters
         ----------
@@ -205,10 +205,10 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
         Weight of the first integral: 1 along each axis. The momentum balance gives the value of the
         integral (docs/theory/bound.md, eq. (2)).
     lever : ndarray, shape (n, 3)
-        Weight of the second integral along each axis, s. A change of the velocity at one of the
-        times adds a distance until the end of the flight. The weight is this distance, divided by
-        the change of the velocity. The displacement from start to goal gives the value of the
-        integral (eqs. (3) and (4)).
+        Weight of the second integral along each axis, s. If the velocity is increased by 1 m/s at
+        a time t, the vehicle is further along the axis at the end of the flight. The weight at t is
+        this additional distance, divided by 1 m/s. The displacement from start to goal gives the
+        value of the integral (eqs. (3) and (4)).
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -388,12 +388,13 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return the reason why `_bound_by_legs` gives no bound for a mission; "" if it gives one.
+    """Return the reason why `_bound_by_legs` gives no bound for a mission, as part of a sentence.
 
     The function `_bound_by_legs` computes a lower bound on the energy of the mission from its legs,
-    the flights between waypoints. It gives no bound, for instance, if the wind changes with time.
-    The reason is then "in a wind that changes with time". The caller appends the reason to a
-    message such as "no bound is known for a free duration".
+    the flights between waypoints. If the wind changes with time, for example, it gives no bound,
+    and the result is "in a wind that changes with time". The function `_bound_as_a_whole` appends
+    the result to a message such as "no bound is known for a free duration". The result is empty if
+    `_bound_by_legs` gives a bound.
 
     Parameters
     ----------
@@ -833,12 +834,14 @@ class _SteadyPower:
 
         Notes
         -----
-        The power is known at samples of the thrust. If the curve of the power is concave between
-        two samples, it lies above the chord through the two samples. If the curve is convex, it
-        lies above the extension of the neighbouring chord. The samples are lowered until the
-        polygon through them lies below the chord and below the extension. The polygon then lies
-        below the curve. A lower power gives a larger value of price * thrust - power. The maximum
-        for the polygon is therefore an upper bound on the maximum for the curve.
+        The power is a curve over the thrust, known at samples. Between two samples, the curve may
+        be concave or convex. A concave curve lies above the chord between the two samples. A convex
+        curve lies above the straight line through the previous two samples. The function `_below`
+        lowers the samples. The polygon through the lowered samples lies below the chord and below
+        that line. It therefore lies below the curve in both cases.
+
+        The maximum is computed with the power of the polygon. A lower power gives a larger value of
+        price * thrust - power. The result is therefore an upper bound on the maximum for the curve.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]

@@ -54,8 +54,8 @@ def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame
     Parameters
     ----------
     scenario : Scenario
-        The mission. Its duration and the passing times of its waypoints must be fixed. The property
-        `mission_flown` of a `Plan` is a scenario with the times of the plan.
+        The mission. Its duration and the passing times of its waypoints must be fixed. In the
+        property `mission_flown` of a `Plan`, they are fixed to the values of the plan.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual wind.
 
@@ -170,11 +170,12 @@ def compare_flights(
     -----
     Flights are compared at equal end states. A simulated flight ends near the goal. The owed energy
     is the energy that the vehicle still needs from the end of the flight to the exact goal state.
-    The method `owed_energy` of a `Plan` estimates the owed energy. The sum of the flight's energy
-    and the owed energy is compared: excess over hovering, optimality gap and savings refer to this
-    sum. The saving of the plan compared with a flight is (flight - plan) / flight, in per cent. The
-    table has two savings. The first is the saving of the sum. The second, the saving above hover,
-    is the saving of the part of the sum that exceeds the energy of hovering.
+    The method `owed_energy` of a `Plan` estimates the owed energy. Let E be the energy of a flight
+    plus its owed energy. Excess over hovering, optimality gap and savings are computed from E.
+
+    The table has two savings of the plan compared with a flight, in per cent. The saving is
+    100 (E of the flight - E of the plan) / E of the flight. The saving above hover is the same
+    difference, divided by the excess of the flight: E of the flight - energy of hovering.
 
     Saving, lower bound and optimality gap are NaN for a flight that did not arrive or broke a
     limit, because the bound covers only flights that arrive within the limits. They are NaN also
@@ -187,8 +188,10 @@ def compare_flights(
 
     The duration of a flight may differ from the duration of the mission. Such a flight has a lower
     bound only if the certificate covers the flight's duration. Its saving above hover is NaN,
-    because hovering for another duration takes another energy. If the plan takes less energy than
-    hovering, the saving above hover would exceed 100 %. It is then NaN for all flights.
+    because hovering for another duration takes another energy.
+
+    The saving above hover is NaN for all flights if the plan takes less energy than hovering. It
+    would exceed 100 %.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)

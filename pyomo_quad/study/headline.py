@@ -67,9 +67,12 @@ class Headline:
 
         They state the plan's energy and duration, its energy saving over another flight, the share
         of its simulated flights in turbulence that succeed, and the energy that its safety margins
-        cost. If an autopilot was simulated in the same turbulence as the plan, the saving is taken
-        from the flights in turbulence. The reason is that a plan for the mean wind cannot be
-        compared with a single flight in turbulence.
+        cost.
+
+        The plan is normally compared with a single other flight. If an autopilot was simulated in
+        the same turbulence as the plan, the energy saving is instead that over the many flights of
+        the autopilot in turbulence. A single flight in turbulence cannot be compared with the plan,
+        because the plan was made for the mean wind.
         """
         charge = ""
         if self.battery_percent is not None:

@@ -31,9 +31,9 @@ A_k >= 0 on all legs, and let mu be a price of time below all G_k. A second boun
 sum over k of  2 sqrt(A_k (G_k - mu)) + mu T_k.
 
 The second bound depends on the T_k only through their sum. It therefore holds for all passing times
-and durations. It is never larger than the bound for fixed T_k. The reason: as functions of the T_k,
-the bound for fixed T_k is convex, and the second bound is linear. At T_k = sqrt(A_k / (G_k - mu))
-the two bounds are equal, and both have the slope mu in every T_k.
+and durations. It is never larger than the bound for fixed T_k. As functions of the T_k, the bound
+for fixed T_k is convex, and the second bound is linear: it is a tangent from below. The two bounds
+touch at T_k = sqrt(A_k / (G_k - mu)), where they are equal and both have the slope mu in every T_k.
 """
 
 from __future__ import annotations
@@ -253,10 +253,11 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust for the start of the search, W/N. The search starts
-            from these prices of velocity: `price` times the mass at the start of the flight, minus
-            a multiple of the displacement from the start. These prices fall along the displacement
-            of each leg. Every A_k is then positive, and the first bound is finite.
+            Price (multiplier) of thrust for the start of the search, W/N. The search starts from
+            these prices of velocity at the ends of the legs: `price` times the mass at the start of
+            the flight, minus a positive factor times the position relative to the start of the
+            flight. On each leg, the price of velocity then changes in the direction opposite to the
+            displacement. Every A_k is therefore positive, and the bound is finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(

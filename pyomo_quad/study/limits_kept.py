@@ -34,9 +34,9 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     limit, a single sentence says so.
 
     The planner simulates test flights of the plan in turbulence. The risk covers the three limits
-    that the test flights break most often. The risk applies only to flights under feedback. Such a
-    flight tracks the plan, or solves the plan again during the flight with the actual wind known or
-    estimated.
+    that the test flights break most often. The risk applies only to flights under feedback. In such
+    a flight, a controller tracks the plan, or the plan is solved again during the flight. For these
+    solves, the actual wind is known or estimated.
 
     Parameters
     ----------

@@ -23,31 +23,33 @@ conditions this gives
 energy >= w . displacement + duration * (least H over all pairs u, v),
 H = P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s).
 
-These equations hold for a steady wind. Where the wind differs from place to place, eta is the price
-of the kinetic energy of the motion relative to air of velocity U, and the least H is taken over the
-winds too. The price of momentum is then p + eta (W - U). The least H over all pairs is a concave
-function of W. Its least value over the winds in a polyhedron is therefore found at a corner.
+These equations hold for a steady wind. The wind may also differ from place to place. The kinetic
+energy is then that of the motion relative to air of velocity U, because this energy is equal at
+both ends of the flight. Its price is eta, and p in H is replaced by p + eta (W - U). The least H is
+taken over all pairs and all winds. The least H over the pairs is a concave function of W. Its least
+value over the winds in a polyhedron is therefore found at a corner.
 
-P depends on T, a and r alone, not on the orientation of the pair (u, v) in space. The subtracted
-terms of H depend on the orientation. For given T, a and r, H is least in the orientation in which
-the sum of these terms is largest. Let q = w - eta s, and let ' denote the transpose. The largest
-sum is then the sum of the singular values of the matrix (u + f) p' + v q'. H is thus minimised over
-three numbers only: T, a and r. The computation uses the rotor speed as the first number instead of
-T; the equations give the thrust from the rotor speed. With the power model `momentum` the first
-number is the induced velocity. The model's balance of thrust and induced velocity then gives rotor
-speed and thrust.
+H is minimised over three numbers only: T, a and r. P depends on these numbers alone. Two subtracted
+terms of H also depend on the orientation of the pair (u, v) in space: p . (u + f) and q . v, with
+q = w - eta s. For given T, a and r, H is least in the orientation in which the sum of the two terms
+is largest. The largest sum is the sum of the singular values of the matrix (u + f) p' + v q', where
+' denotes the transpose. The computation uses the rotor speed as the first number instead of T; the
+equations give the thrust from the rotor speed. With the power model `momentum` the first number is
+the induced velocity. The model's balance of thrust and induced velocity then gives rotor speed and
+thrust.
 
 The least H is bounded from below by branch and bound. A box is a range of the three numbers; the
 compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until
 its lower bound on H is at least the smallest value of H found so far, less a tolerance.
 
-With the power model `momentum`, let t be the thrust of one rotor. Its profile power is c t^1.5 + k
-t^0.5 with coefficients c and k. The coefficient k is zero in still air; docs/theory/bound.md, eq.
-(17), writes m for k. If c t >= k, rotors with unequal thrusts take no less power in all than rotors
-with equal thrusts t. If c t < k, at high airspeed and low thrust, rotors with unequal thrusts may
-take less power. They take no less than the convex envelope of the profile power. For c t < k this
-envelope is a straight line through the origin that touches the curve of the profile power. The line
-lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
+The power P is that of rotors with equal thrusts. With the power model `momentum`, rotors with
+unequal thrusts may take less power at high airspeed and low thrust. Let t be the mean thrust of the
+rotors. A rotor with this thrust takes the profile power c t^1.5 + k t^0.5, with coefficients c and
+k. The coefficient k is zero in still air; docs/theory/bound.md, eq. (17), writes m for k. If
+c t >= k, equal thrusts take the least power. If c t < k, unequal thrusts may take less power, but
+no less than the convex envelope of the profile power. This envelope is then the tangent from the
+origin to the curve of the profile power. The tangent lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the
+profile power.
 
 The mass may change at a waypoint. The products m p and m eta are the same on all legs.
 """
@@ -305,12 +307,13 @@ class Pairs:
         that follows from the drag is therefore the greater of A and the speed of the wind.
 
         The wind may also differ from place to place. Let U be the middle of the range of winds, and
-        D the greatest difference between a wind and U. The relative speed is the speed of the
-        vehicle relative to air of velocity U. At rest, the relative speed is the size of U. There
-        is a value V, at least A + D, above which the relative speed cannot grow in any wind of the
-        range. The relative speed is therefore never above the greater of V and the size of U. The
-        airspeed exceeds the relative speed by at most D. The speed that follows from the drag is
-        therefore D plus the greater of V and the size of U.
+        D the greatest difference between a wind and U. Let S be the speed of the vehicle relative
+        to air of velocity U. The airspeed differs from S by at most D.
+
+        Let V be the value of S at which eq. (22) holds; V is at least A + D. If S is above V, the
+        drag prevents S from growing, whatever wind of the range blows. At rest, S is the size of U.
+        In flight, S therefore never exceeds the greater of V and the size of U. The airspeed never
+        exceeds this value plus D. This sum is the speed that follows from the drag.
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -979,12 +982,15 @@ class _Program:
         changes these quantities, each times its price. `least` holds for each leg the least H over
         all pairs, or a lower bound on it, shape (n_legs,) [W].
 
-        The bound is the sum of two parts. One part is a sum over the legs: the price of
-        displacement times the displacement, minus what the allowed distance from the nominal
-        waypoints can save. The other part is a sum over the groups of legs; a group consists of the
-        legs between two fixed times. Each group adds its duration times the least H on its legs.
-        The duration is the least or the greatest one that the mission allows, whichever gives the
-        smaller product.
+        The bound is the sum of two parts. The first part is a sum over the legs. Each leg adds the
+        scalar product of its price of displacement and its displacement, minus the length of the
+        price times the attribute `slack` of the leg. `slack` is the sum of the distances by which
+        the two ends of the leg may be away from their nominal places.
+
+        The second part is a sum over the groups of legs. A group consists of the legs between two
+        fixed times. Each group adds a duration times the smallest item of `least` on its legs. The
+        duration is the least or the greatest duration that the mission allows for the group,
+        whichever gives the smaller product. Implements docs/theory/bound.md, eq. (19).
         """
         found = sum(
             float(p.displacement @ leg.displacement)

@@ -2,13 +2,20 @@
 
 The bound of `study.pairs` assumes that the most favourable wind of the field blows everywhere. The
 bound of this module uses the winds that the field has at each place. A potential is a function of
-the horizontal position. A motion of the vehicle takes energy and gains potential. The gradient of
-the potential is limited by a condition on every motion in the winds of each place. From the energy
-of the motion, terms for the changes of momentum and kinetic energy are subtracted. The remainder
-must be at least the gained potential. Over a flight from rest to rest, the terms for these changes
-vanish. A lower bound on the energy of every flight, along any path, is therefore the rise of the
-potential from start to goal, plus terms for height and duration. Derivation: see
+the horizontal position. A lower bound on the energy of every flight, along any path, is the rise of
+the potential from start to goal, plus terms for height and duration. Derivation: see
 docs/theory/bound.md, eqs. (23) to (27).
+
+The rise is a bound only if the potential meets a condition at every place: in every wind of the
+place, the power of every motion is at least the sum of
+
+- the rate at which the motion gains potential,
+- the rates of change of momentum, kinetic energy and height, each times its price, and
+- a constant, the price of time.
+
+This condition limits the gradient of the potential. The bound is the integral of the sum over the
+flight. The terms for momentum and kinetic energy then vanish, because a flight begins and ends at
+rest.
 
 A price is the Lagrange multiplier (dual variable) of the total change of momentum, position or
 kinetic energy over a flight, which the mission fixes. A pair is a combination of thrust and
@@ -24,7 +31,7 @@ o, eta | price of momentum [W/N] in still air, and of kinetic energy, equal at a
 W | wind
 a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
-h | price of time [W]: P is at least h plus the terms of the prices and of the potential
+h | price of time [W], the constant in the condition on the potential
 
 A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W. G is a concave function of a
 and q together. Therefore linear interpolation between proven values of G gives lower bounds on G.

@@ -74,9 +74,9 @@ class RunResult(Summarised):
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound. "front" is the time for the tables `front` and
         `aims`. "fly" is the time for the simulated flights and the cautions. It is measured from
-        the end of planning to the end of the last flight. During the flights this process also
-        computes the lower bound and the two tables, and calls the function `meanwhile` of
-        `run_scenario`. The time for these three tasks is not included in "fly".
+        the end of planning to the end of the last flight. Three times within this span are
+        subtracted: "certify", "front", and the time that the argument `meanwhile` of `run_scenario`
+        takes.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None

@@ -530,9 +530,9 @@ def _firmer(firmness: float, settled: int) -> float:
     `firmness` is the present factor on the penalty. `settled` is the number of meshes on which the
     objective hardly changed.
 
-    The result is 5 times `firmness`, but at most 25. The upper limit is 125 if `settled` is 4 to 7,
-    and infinite if `settled` is 8 or more. If `firmness` already exceeds the upper limit, the
-    result is `firmness`.
+    The result is 5 times `firmness`, up to an upper limit. The upper limit depends on `settled`: it
+    is 25 for 0 to 3 meshes, 125 for 4 to 7 meshes, and infinite for 8 or more meshes. If `firmness`
+    already exceeds the upper limit, the result is `firmness`.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -695,8 +695,9 @@ class _Reached(Generic[S]):
         error. `shown` is the largest of these lower bounds, or None if there is no solution after
         the restart yet.
     earned : float
-        Relative improvement of the objective by the restart before this one: from the solution that
-        was kept at that earlier restart to `solution`. It is 0 if this restart is the first.
+        Relative improvement of the objective by the previous restart. The solution that was kept at
+        the previous restart is compared with `solution`, which was found after it. `earned` is 0 if
+        there was no previous restart.
     """
 
     solution: S
@@ -799,11 +800,12 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 
 
 def _objective_change(solution: Solution, tolerance: float) -> float:
-    """Return the relative change of the objective since the previous mesh, infinite on the first.
+    """Return the least relative change of the objective from earlier meshes to the last mesh.
 
-    The change since an earlier mesh that met the tolerance is returned instead if it is smaller.
-    The objective on the previous mesh may be inaccurate, because that mesh need not have met the
-    tolerance.
+    The objective on the last mesh is compared with the objective on the mesh before it, and with
+    the objective on each earlier mesh that met the tolerance. The smallest change is returned. The
+    mesh before the last is not enough for the comparison: it need not have met the tolerance, and
+    its objective may then be inaccurate. The result is infinite on the first mesh.
 
     `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
     is at most `tolerance`. The change is divided by a reference magnitude of the objective, the
