@@ -252,9 +252,11 @@ def costate_errors_of(
 
     The estimate is the larger of two errors:
 
-    - Integration. `costates.at_points` results from adjoint equations with `costates.stages` on the
-      right-hand side. The adjoint equations are integrated again, with `costates.at_points` on the
-      right-hand side. The second result differs from the first. The error is twice this difference.
+    - Integration. `costates` holds two approximations at the collocation points: `stages`, which
+      come directly from the multipliers, and `at_points`. The latter were computed by integration
+      of the adjoint equations, with `stages` on the right-hand side. Here, the equations are
+      integrated again with `at_points` on the right-hand side. The error is twice the difference
+      between the results of the two integrations.
     - Jumps. A limit on a state may become active or inactive inside an element. The costates may
       then jump at an unknown time in the element. The multipliers of the limits cause a part of
       the change of the costates over the element. A smooth polynomial is fitted to this part, and

@@ -122,10 +122,10 @@ class Strategy:
         Whether the damping of the controls (a penalty on their distance from the controls of the
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
-        Limit of iterations of the solve on each mesh; infinite for no limit. If None, the warm
-        start sets two limits: one for the first mesh, and one for all meshes together. These are
-        the numbers of iterations that an earlier solve from the guess took. If the warm start has
-        no record of them, there is no limit.
+        Limit of iterations of the solve on each mesh; infinite for no limit. If None, the limits
+        depend on the warm start. A warm start may record how many iterations the solve without a
+        warm start took, on the first mesh and on all meshes together. The solve then has these
+        two limits. Without such a record, it has no limit.
     times : int
         How often the strategy may be tried.
     """

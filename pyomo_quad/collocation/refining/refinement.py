@@ -740,13 +740,14 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    Without a restart, the result is the last solution. After a restart, the result is the solution
-    from before the restart. Its status and message are changed in two cases, to state that better
-    controls exist:
+    Without a restart, the result is the last solution. The refinement is restarted if Pontryagin's
+    principle shows that other controls improve the objective. After a restart, the result is the
+    solution from before the restart.
 
-    - No solution has been found after the restart.
-    - A better solution has been found after the restart. A solution is better if its relative
-      improvement of the objective, minus its estimated error, exceeds the tolerance.
+    Its status and message are changed to say that better controls exist, unless the restart
+    disproves it. It is disproved by a solution found after the restart that is not better. A
+    solution is better if its relative improvement of the objective, minus its estimated error,
+    exceeds the tolerance.
 
     Parameters
     ----------
