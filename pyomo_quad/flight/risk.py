@@ -155,7 +155,8 @@ def plan_at_risk(
     Plan
         Plan whose attribute `risk` records margins and test flights. If the allowed risk cannot be
         reached, or if the search is stopped, it is the plan of least risk that was found. If the
-        scenario allows any risk, it is the plan of `Planner.solve`, without margins.
+        scenario does not limit the risk (`risk = 1`), it is the plan of `Planner.solve`, without
+        margins.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)

@@ -28,15 +28,17 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
-    Limits are those of the scenario, such as the largest speed. The plan's risk is the share of the
-    plan's flights in turbulence that the scenario permits to break limits. Each sentence names the
-    limits that its flight breaks, and says whether the risk covers them. If no flight breaks a
-    limit, a single sentence says so.
+    Limits are those of the scenario, such as the largest speed. Each sentence names the limits that
+    its flight breaks. If no flight breaks a limit, a single sentence says so.
 
-    The planner simulates test flights of the plan in turbulence. The risk covers the three limits
-    that the test flights break most often. The risk applies only to flights under feedback. In such
-    a flight, a controller tracks the plan, or the plan is solved again during the flight. For these
-    solves, the actual wind is known or estimated.
+    The scenario permits a share of the flights in turbulence, the risk of the plan, to break
+    limits. Each sentence therefore also says whether its flight may be one of this share. It may if
+    two conditions hold:
+
+    - The flight is under feedback: a controller tracks the plan, or the plan is solved again during
+      the flight with the actual wind known or estimated.
+    - The flight breaks only limits among the three that the planner's own test flights of the plan
+      break most often.
 
     Parameters
     ----------
