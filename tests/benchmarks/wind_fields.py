@@ -40,10 +40,10 @@ FLOWN_SEED = 2026
 RISK = 0.01
 ABOUT = (
     "The mission of `scenarios/street.toml` in the wind of each of the 18 directions of "
-    "`scenarios/winds`, 6 m/s undisturbed, with light turbulence and a risk of 0.01; the "
-    "directions are those flown so far. *Field*: planned with the wind field. *Mean*: planned "
-    "with the mean of the field everywhere. *Straight*: the shortest clear way from rest to rest, "
-    "as an autopilot flies it, at the ground speed of least energy per metre in the mean wind. "
+    "`scenarios/winds`, 6 m/s undisturbed, with light turbulence and a risk of 0.01. "
+    "*Field*: planned with the wind field. *Mean*: planned with the mean of the field everywhere. "
+    "*Straight*: the shortest clear way from rest to rest, as an autopilot flies it, at the ground "
+    "speed of least energy per metre in the mean wind. "
     f"Each is flown in the field {FLIGHTS} times under the same adaptive controller, in turbulence "
     "that its plan has not seen and that is the same for all three. *Energy*: the median of these "
     "flights. *Held*: how many arrive and keep all limits, and the limit that the others break "
