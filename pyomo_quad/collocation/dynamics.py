@@ -9,7 +9,7 @@ from __future__ import annotations
 import operator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, Self
 from weakref import WeakKeyDictionary
 
 import casadi
@@ -1223,6 +1223,16 @@ class ClosedLoop:
             buffer.set_res(k, held.data)
         # The CasADi buffer stores addresses only; keep the arrays alive.
         self._held = buffer, controls
+
+    @classmethod
+    def without_feedback(cls, dynamics: Dynamics) -> Self:
+        """Return the loop of a vehicle whose controls are the command itself.
+
+        The law has no states of its own. `dynamics` is the right-hand side of the vehicle's
+        equations.
+        """
+        n_controls = len(dynamics.control_names)
+        return cls(dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0)
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the CasADi function of the closed loop.

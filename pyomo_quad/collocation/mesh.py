@@ -494,7 +494,7 @@ def control_polynomial(
     start: float,
     end: float,
     limits: tuple[FloatArray, FloatArray] = (np.array(-np.inf), np.array(np.inf)),
-) -> Callable[[float], FloatArray]:
+) -> Callable[[float | FloatArray], FloatArray]:
     """Return the controls in one element as polynomials of physical time.
 
     The polynomials pass through the values at the element's collocation points. Where a polynomial
@@ -515,7 +515,7 @@ def control_polynomial(
     Returns
     -------
     callable
-        t -> ndarray, shape (k,).
+        t -> ndarray, shape (k,) for a single time, shape (n, k) for n times.
 
     Examples
     --------
@@ -529,7 +529,9 @@ def control_polynomial(
     held = values[mesh.first_node[element] : mesh.first_node[element + 1]]
     width = end - start
 
-    def polynomial(t: float) -> FloatArray:
+    def polynomial(t: float | FloatArray) -> FloatArray:
+        if isinstance(t, np.ndarray):
+            return np.asarray(interpolation_matrix(points, (t - start) / width) @ held)
         difference = (t - start) / width - points
         nearest = int(np.argmin(np.abs(difference)))
         if difference[nearest] == 0.0:
@@ -548,48 +550,6 @@ def control_polynomial(
     if np.all((limits[0] <= low - beyond) & (high + beyond <= limits[1])):
         return polynomial
     return lambda t: np.clip(polynomial(t), *limits)
-
-
-def controls_in_element(
-    mesh: Mesh,
-    values: FloatArray,
-    element: int,
-    fractions: FloatArray,
-    limits: tuple[FloatArray, FloatArray],
-) -> FloatArray:
-    """Return the controls at n points of one element.
-
-    The controls are values of the polynomials through the element's collocation points. Where a
-    polynomial exceeds a limit, the control is set to the limit. The function `control_polynomial`
-    returns the same controls as a function of time.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    values : ndarray, shape (n_points, k)
-        Values of k variables at the collocation points of the whole mesh.
-    element : int
-        Index of the element.
-    fractions : ndarray, shape (n,)
-        Fractions of the element, from 0 to 1.
-    limits : (ndarray, ndarray)
-        Lower and upper limits of the k variables, shape (k,) each.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-
-    Examples
-    --------
-    >>> mesh = Mesh(breakpoints=(0.0, 0.5, 1.0), degrees=(2, 2))
-    >>> values, limits = mesh.node_fractions[1:, None], (np.array([0.0]), np.array([0.3]))
-    >>> controls_in_element(mesh, values, 0, np.array([0.5, 1.0]), limits).round(12)
-    array([[0.25],
-           [0.3 ]])
-    """
-    points = radau_rule(mesh.degrees[element]).points
-    held = values[mesh.first_node[element] : mesh.first_node[element + 1]]
-    return np.clip(interpolation_matrix(points, fractions) @ held, *limits)
 
 
 # Highest degree of a mesh read from a file; nodes of a higher degree take long to compute.

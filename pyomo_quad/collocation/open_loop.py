@@ -44,12 +44,8 @@ class OpenLoopSteps:
     """
 
     def __init__(self, dynamics: Dynamics) -> None:
-        n_controls = len(dynamics.control_names)
-        loop = ClosedLoop(
-            dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0
-        )
         self._dynamics = dynamics
-        self._step = MappedFunction(_step(loop.function), 1)
+        self._step = MappedFunction(_step(ClosedLoop.without_feedback(dynamics).function), 1)
 
     def carried(
         self,

@@ -197,7 +197,6 @@ class EnsembleSimulation:
         reference: ReferencePath,
         varied: Sequence[str] = (),
     ) -> None:
-        dynamics = dynamics.without_iterations()
         self._scenario, self._dynamics, self._reference = scenario, dynamics, reference
         self._controller = AdaptiveController(scenario, mixer_matrix(dynamics))
         self._varied = tuple(varied)

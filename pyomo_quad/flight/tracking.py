@@ -13,14 +13,13 @@ Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 from math import ceil
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pyomo_quad.collocation import ClosedLoop, OpenLoopSteps, controls_in_element, interpolate
+from pyomo_quad.collocation import ClosedLoop, OpenLoopSteps, control_polynomial, interpolate
 from pyomo_quad.flight.deadline import keep_time
 from pyomo_quad.flight.displacement import displaced
 from pyomo_quad.flight.flight import (
@@ -490,11 +489,10 @@ def _followed(
         own = slice(mesh.first_node[e], mesh.first_node[e + 1])
         correction = commands[e] - regulator.gains[e] @ (joint[:-1] - path.states[e])
         controls[own] = np.clip(controls[own] + correction, *limits)
-        element = e, (first, last)
         flown = steps.carried(
             joint,
             np.array([first, *path.points[own][:-1], last]),
-            partial(_controls_at, mesh=mesh, controls=controls, element=element, limits=held),
+            control_polynomial(mesh, controls, e, first, last, held),
             _INTEGRATION,
         )
         joint = flown[-1]
@@ -502,19 +500,3 @@ def _followed(
         if not np.all(np.abs(joint[:-1]) < _LOST):
             return None
     return np.vstack(nodes), controls
-
-
-def _controls_at(
-    times: FloatArray,
-    mesh: Mesh,
-    controls: FloatArray,
-    element: tuple[int, tuple[float, float]],
-    limits: tuple[FloatArray, FloatArray],
-) -> FloatArray:
-    """Return the controls at n times within a mesh element, shape (n, n_controls).
-
-    `times` are the times [s], and `element` is the element's index with its start and end [s]. For
-    `mesh`, `controls` and `limits` see `controls_in_element`.
-    """
-    index, (start, end) = element
-    return controls_in_element(mesh, controls, index, (times - start) / (end - start), limits)

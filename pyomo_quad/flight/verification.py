@@ -98,9 +98,7 @@ def fly_controls(
         If the integrator fails.
     """
     borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
-    flow = ClosedLoop(
-        dynamics, lambda command, _x, _own: (command, ()), n_command=controls.shape[1], n_own=0
-    )
+    flow = ClosedLoop.without_feedback(dynamics)
     limits = dynamics.control_limits(HELD_BREACH)
     shares = samples_per_element
     if isinstance(shares, int):

@@ -616,7 +616,7 @@ class Airspace(Part):
                 yield f"is inside keep-out {near} by {depth:.3g} m; move one of them"
 
     def with_clearance(self, zone: KeepOut) -> str:
-        """Return the name of a zone for messages, such as "mast with its clearance of 2 m".
+        """Return the words by which messages name a zone, as in "mast with its clearance of 2 m".
 
         The clearance is the distance that the flight must keep from every keep-out zone. Without
         clearance, only the zone's name is returned.

@@ -427,7 +427,7 @@ _ROUNDING = 1e-9
 def check_mission(
     scenario: Scenario, *, builder: Builder = build_model, planner: Planner | None = None
 ) -> tuple[Finding, ...]:
-    """Return what is impossible and what is doubtful in a mission, without solving it.
+    """Return findings on settings of a mission that are impossible or doubtful, without a solve.
 
     Parameters
     ----------

@@ -98,7 +98,7 @@ class Instance:
 
 
 class ModelValues:
-    """Reader and writer of the numbers in a model, such as values of parameters and variables.
+    """Values of the parameters and variables in a Pyomo model, to read and to write.
 
     Arrays and lists of numbers have the order in which the compiled equations expect the parameters
     and variables.
