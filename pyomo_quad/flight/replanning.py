@@ -43,6 +43,7 @@ from scipy.integrate import solve_ivp
 
 from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import (
+    ClosedLoop,
     Dynamics,
     Solution,
     TranscriptionError,
@@ -52,6 +53,7 @@ from pyomo_quad.flight.baselines import (
     ClosedLoopFlight,
     Integrator,
     assembled_flight,
+    closed_loop,
     even_times,
     fly,
     refuse_other_vehicles,
@@ -197,6 +199,8 @@ class _Aircraft:
         # The controller uses the assumed vehicle, which may differ from the simulated one.
         self._mixer = mixer_matrix(replanner.dynamics)
         self._measured = [dynamics.state_names.index(n) for n in replanner.dynamics.state_names]
+        # Compiled closed loops; the mass is the only belief that the controller's law depends on.
+        self._systems: dict[float, ClosedLoop] = {}
 
     def measured(self, state: FloatArray) -> FloatArray:
         """Return the states that the vehicle measures, in the order of the plans' equations.
@@ -219,15 +223,19 @@ class _Aircraft:
         `leg` is the part with its plan. `state` is the initial state of the vehicle, shape
         (n_states,). `integrator` is the method of numerical integration.
         """
-        believed = with_mass(self._scenario, leg.course.belief)
+        belief = leg.course.belief
+        controller = AdaptiveController(with_mass(self._scenario, belief), self._mixer, leg.learnt)
+        if belief.mass not in self._systems:
+            self._systems[belief.mass] = closed_loop(self.dynamics, controller)
         return fly(
             dynamics=self.dynamics,
-            controller=AdaptiveController(believed, self._mixer, leg.learnt),
+            controller=controller,
             reference=leg.course.path,
             initial_state=state,
             times=even_times(leg.start, leg.end, RATE_HZ),
             integrator=integrator,
             last=leg.last,
+            system=self._systems[belief.mass],
         )
 
 

@@ -10,6 +10,7 @@ from pyomo_quad.flight import baselines
 from pyomo_quad.flight.baselines import (
     assembled_flight,
     baseline_name,
+    closed_loop,
     fly,
     fly_baseline,
     fly_open_loop,
@@ -168,6 +169,26 @@ def test_the_controller_is_not_told_the_wind():
     )
     energy = flights.baseline(name, Reference.QUINTIC).energy_J
     assert flight.flown.energy[-1] == pytest.approx(energy, rel=1e-9)
+
+
+def test_controllers_that_differ_in_their_first_estimate_alone_share_a_compiled_loop():
+    dynamics, scenario = flights.vehicle("paper_calm"), flights.scenario("paper_calm")
+    mixer = mixer_matrix(dynamics)
+    known = {
+        "dynamics": dynamics,
+        "controller": AdaptiveController(scenario, mixer, (0.5, 0.0, -0.2)),
+        "reference": reference_path(scenario, Reference.QUINTIC),
+        "initial_state": start_state(scenario, dynamics),
+        "times": np.array([0.0, 1.0]),
+    }
+    shared = closed_loop(dynamics, AdaptiveController(scenario, mixer))
+    own, lent, ignorant = (
+        fly(**known),
+        fly(**known, system=shared),
+        fly(**known | {"controller": AdaptiveController(scenario, mixer)}),
+    )
+    assert lent.flown.states == pytest.approx(own.flown.states, rel=1e-12, abs=1e-12)
+    assert np.abs(own.flown.states - ignorant.flown.states).max() > 1e-3
 
 
 def test_a_heavier_vehicle_than_believed_is_carried_all_the_same():
