@@ -188,6 +188,9 @@ LONGEST_STEP = 0.1
 # A controlled flight takes some 500 evaluations per second of flight. Ten times that number
 # indicates a tumble, which would keep the integrator busy for hours.
 _MOST_EVALUATIONS_PER_SECOND = 5000
+# In turbulence, the integrator is restarted at each jump of the noise, every 0.02 s, and takes some
+# 120 evaluations to the next one (measured). A few times that number are allowed in addition.
+_MOST_EVALUATIONS_PER_JUMP = 400
 # Rows of a flight's table per second of flight.
 RATE_HZ = 100.0
 
@@ -203,13 +206,17 @@ class TumblingGuard:
     flight : str
         Name of the flight, for the error message.
     duration : float
-        Duration of the flight [s]. The limit is proportional to the duration.
+        Duration of the flight [s]. The limit rises with the duration.
+    jumps : int, optional
+        Number of times at which the integrator is restarted, because the data of the equations
+        jump. The limit rises with this number.
     """
 
-    def __init__(self, flight: str, duration: float) -> None:
+    def __init__(self, flight: str, duration: float, jumps: int = 0) -> None:
         self.evaluations = 0
         self._flight = flight
         self._most = _MOST_EVALUATIONS_PER_SECOND * max(1.0, duration)
+        self._most += _MOST_EVALUATIONS_PER_JUMP * jumps
 
     def evaluated(self, t: float) -> None:
         """Count an evaluation of the right-hand side; raise an error if there are too many.
@@ -318,14 +325,16 @@ def fly(
     """
     if system is None:
         system = closed_loop(dynamics, controller)
-    loop = _Loop(system, dynamics, controller, reference, duration=times[-1] - times[0])
     span = float(times[0]), float(times[-1])
+    edges = dynamics.steps_between(*span)
+    guard = TumblingGuard("controlled flight", span[1] - span[0], len(edges))
+    loop = _Loop(system, dynamics, controller, reference, guard)
     rows = integrate(
         loop.rates,
         span,
         loop.started(times[0], initial_state, last),
         times,
-        dynamics.steps_between(*span),
+        edges,
         flight="controlled flight",
         remedy="Check the gains and limits of the scenario.",
         method=integrator.value,
@@ -363,9 +372,8 @@ class _Loop:
 
     The joint state of the system holds the states of the vehicle, the states of the controller, and
     the energy spent. `system` is its compiled right-hand side. `dynamics` has the equations of the
-    vehicle. `controller` follows the path `reference`. `duration` is the duration of the flight
-    [s]; it determines how many evaluations are allowed before the vehicle counts as tumbling and an
-    error is raised.
+    vehicle. `controller` follows the path `reference`. `guard` raises an error after so many
+    evaluations that the vehicle must be tumbling.
     """
 
     def __init__(
@@ -374,15 +382,14 @@ class _Loop:
         dynamics: Dynamics,
         controller: AdaptiveController,
         reference: ReferencePath,
-        *,
-        duration: float,
+        guard: TumblingGuard,
     ) -> None:
         self._system = system
         self._controller = controller
         self._reference = reference
         self._size = len(dynamics.state_names)
         self._body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
-        self._guard = TumblingGuard("controlled flight", duration)
+        self._guard = guard
 
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the joint state of vehicle, controller and energy at the initial time t [s].

@@ -13,6 +13,7 @@ from time import process_time
 
 import numpy as np
 
+from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.replanning import fly_replanned, replanned_name
 from pyomo_quad.flight.risk import plan_at_risk
@@ -207,7 +208,7 @@ def fly_with_replanning(plan, planner):
             flight = fly_replanned(
                 mission, Knowledge.ESTIMATED, dynamics=vehicle, planner=planner, plan=plan
             )
-        except PyomoQuadError as error:
+        except (PyomoQuadError, SolveError) as error:
             yield (str(error),)
             continue
         missed = f"ends {flight.terminal_miss_m:.3f} m off or too fast"

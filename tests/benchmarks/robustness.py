@@ -167,14 +167,23 @@ def fly_all(minutes, drawn, results=RESULTS, fly_one=fly, workers=WORKERS):
         results.open("a", encoding="utf-8") as file,
     ):
         futures = [pool.submit(fly_one, mission) for mission in wanted]
-        for future in as_completed(futures):
-            if future.cancelled():
-                continue
-            file.write(json.dumps(asdict(future.result())) + "\n")
-            file.flush()
-            if perf_counter() > deadline:
-                for waiting in futures:
-                    waiting.cancel()
+        try:
+            for future in as_completed(futures):
+                if future.cancelled():
+                    continue
+                file.write(json.dumps(asdict(future.result())) + "\n")
+                file.flush()
+                if perf_counter() > deadline:
+                    _cancel(futures)
+        except BaseException:
+            # Otherwise the pool would fly all missions that wait, and lose their outcomes.
+            _cancel(futures)
+            raise
+
+
+def _cancel(futures):
+    for future in futures:
+        future.cancel()
 
 
 def measure(arguments):

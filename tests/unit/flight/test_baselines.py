@@ -26,6 +26,7 @@ from pyomo_quad.flight.controller import (
     thrust_direction,
 )
 from pyomo_quad.flight.flight import POSITION_STATES, Flown
+from pyomo_quad.flight.weather import vehicle_flown
 from pyomo_quad.scenario import ScenarioError, scenario_from_mapping
 from pyomo_quad.scenario.tables import MISSION_TIMED, Reference
 from tests import flights
@@ -240,6 +241,28 @@ def test_the_flights_verdict_is_that_of_the_second_integrator(monkeypatch):
 def test_a_flight_out_of_control_is_given_up(monkeypatch):
     monkeypatch.setattr(baselines, "_MOST_EVALUATIONS_PER_SECOND", 5)
     with pytest.raises(SolveError, match=r"out of control at .* s, stopped after 50 evaluations"):
+        fly_reference(
+            flights.scenario("paper_calm"),
+            Reference.QUINTIC,
+            dynamics=flights.vehicle("paper_calm"),
+        )
+
+
+def test_restarts_at_jumps_of_turbulence_are_no_tumbling(monkeypatch):
+    """What the jumps allow carries the flight, whatever is allowed for its duration."""
+    monkeypatch.setattr(baselines, "_MOST_EVALUATIONS_PER_SECOND", 0)
+    gusty = ("wind.use='constant'", "wind.speed=5.0", "wind.coupling='drag'")
+    scenario = flights.scenario("paper_calm", *gusty, "wind.turbulence.intensity='moderate'")
+    dynamics = vehicle_flown(flights.PLANNER, scenario)
+    flight = fly(
+        dynamics=dynamics,
+        controller=AdaptiveController(scenario, mixer_matrix(dynamics)),
+        reference=reference_path(scenario, Reference.QUINTIC),
+        initial_state=start_state(scenario, dynamics),
+        times=np.array([0.0, 0.5]),
+    )
+    assert np.all(np.isfinite(flight.flown.states))
+    with pytest.raises(SolveError, match="out of control"):
         fly_reference(
             flights.scenario("paper_calm"),
             Reference.QUINTIC,

@@ -124,6 +124,9 @@ def test_the_mission_is_solved_along_every_corridor(tmp_path, monkeypatch):
             solved.append(journey[0].label)
             return solution_at(float(len(solved)), 100.0 * len(solved), Mesh.uniform(4, 3))
 
+        def fly_again(self, flown, _share):
+            return flown
+
         def refine(self, flown, _meshes):
             return flown
 

@@ -13,11 +13,13 @@ from pyomo_quad import processes
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import (
     RouteFlights,
     _is_dominated,
     guess_along,
+    guess_from,
     sides_touched,
 )
 from pyomo_quad.flight.routes import (
@@ -348,6 +350,51 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once(monkeyp
     best, tried = Flights().compared(journeys)
     assert refined == [best]
     assert [(way.name, way.is_kept) for way in tried] == [("right of mast", True)]
+
+
+def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkeypatch):
+    """Optima of three durations; the cheapest is reached from the second best alone."""
+    monkeypatch.setattr(processes, "cores", lambda _most, **_: 1)
+    journeys = find_journeys(airspace(floor=0.0, ceiling=9.0), [START, GOAL])
+    cost, mesh = {10.0: 100.0, 8.0: 90.0, 7.0: 80.0, 5.0: 95.0}, Mesh.uniform(4, 3)
+
+    class Flights(RouteFlights):
+        paces = (1.0, 1.5)
+
+        def __init__(self):
+            """Need no mission."""
+            self._mission = None
+
+        def fly(self, _journey):
+            return solution_at(10.0, cost[10.0], mesh)
+
+        def fly_again(self, flown, share):
+            duration = flown.trajectory.states[0, 0]
+            near = min(cost, key=lambda known: abs(known - share * duration))
+            return solution_at(near, cost[near], mesh)
+
+        def refine(self, flown, _meshes):
+            return flown
+
+        def energy_of(self, solution):
+            return solution.objective
+
+        def as_flown(self, journey, _solution):
+            return journey
+
+    assert Flights().compared(journeys)[0].objective == min(cost.values())
+
+
+def test_a_guess_from_a_solution_in_another_time_follows_its_path_at_another_speed():
+    told = load_scenario(PAPER_CALM, ["mission.duration='free'"])
+    journey = find_journeys(told.airspace, told.mission.positions)[0]
+    solution = RouteFlights(MissionProblem(PLANNER, told)).fly(journey)
+    guess = guess_from(solution, 0.5)
+    assert guess["duration"] == pytest.approx(0.5 * solution.horizon[1])
+    for place, speed in zip(POSITION_STATES, VELOCITY_STATES, strict=True):
+        rates = np.gradient(guess[place], guess["duration"] * guess["time"])
+        # Differences of second order over 200 intervals.
+        assert guess[speed][1:-1] == pytest.approx(rates[1:-1], abs=2e-3 * abs(rates).max() + 1e-6)
 
 
 def test_a_journey_on_the_sides_of_the_zones_that_an_optimum_touches_is_dominated():
