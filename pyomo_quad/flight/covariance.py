@@ -12,13 +12,11 @@ from math import ceil
 import numpy as np
 
 from pyomo_quad.arrays import FloatArray
-from pyomo_quad.collocation import ClosedLoop, Dynamics
-from pyomo_quad.flight.baselines import fly, reference_path, start_state
+from pyomo_quad.collocation import Dynamics
+from pyomo_quad.flight.baselines import closed_loop, fly, reference_path, start_state
 from pyomo_quad.flight.controller import (
-    COMMAND_SIZE,
     CONTROLLER_STATES,
     AdaptiveController,
-    feedback_law,
     mixer_matrix,
 )
 from pyomo_quad.flight.integration import discrete
@@ -228,12 +226,7 @@ class _MeanFlight:
         self.dynamics = dynamics.without_iterations()
         self._reference = reference_path(scenario, Reference.PLAN, plan)
         self._controller = AdaptiveController(scenario, mixer_matrix(self.dynamics))
-        self.loop = ClosedLoop(
-            self.dynamics,
-            feedback_law(self._controller, self.dynamics),
-            n_command=COMMAND_SIZE,
-            n_own=len(CONTROLLER_STATES),
-        )
+        self.loop = closed_loop(self.dynamics, self._controller)
         names = list(self.dynamics.state_names)
         self._start = start_state(scenario, self.dynamics, plan)
         self._filters = [names.index(name) for name in FILTER_STATES]
@@ -258,6 +251,7 @@ class _MeanFlight:
             reference=self._reference,
             initial_state=self._start,
             times=times,
+            system=self.loop,
         )
         flown = flight.flown
         joint = np.column_stack([flown.states, flight.controller_states, flown.energy])

@@ -17,8 +17,13 @@ from math import ceil
 import numpy as np
 
 from pyomo_quad.arrays import FloatArray
-from pyomo_quad.collocation import ClosedLoop, Dynamics, SteppedFlights, SteppedLoops
-from pyomo_quad.flight.baselines import broken_under_control, start_state, wanted_at_goal
+from pyomo_quad.collocation import Dynamics, SteppedFlights, SteppedLoops
+from pyomo_quad.flight.baselines import (
+    broken_under_control,
+    closed_loop,
+    start_state,
+    wanted_at_goal,
+)
 from pyomo_quad.flight.columns import ENERGY
 from pyomo_quad.flight.controller import (
     COMMAND_SIZE,
@@ -253,12 +258,7 @@ class EnsembleSimulation:
         follow from the gains of the controller: the yaw loop is several times faster than any gain.
         The reaction moment of accelerating rotors on the body makes the yaw loop so fast.
         """
-        loop = ClosedLoop(
-            self._dynamics,
-            feedback_law(self._controller, self._dynamics),
-            n_command=COMMAND_SIZE,
-            n_own=len(CONTROLLER_STATES),
-        )
+        loop = closed_loop(self._dynamics, self._controller)
         command = np.array([self._controller.command(self._reference, 0.0)])
         # Where an error is exactly zero, the derivative of its norm is not defined.
         begun = self._started(Draws(count=1)) + _OFF_NOUGHT
