@@ -598,8 +598,9 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
     The result has one set of pairs (name of a zone, side) for each leg of the mission.
 
     With these pairs the caller leaves out other journeys. A zone that the flight does not touch has
-    no effect on it: without this zone, the flight would still be optimal. Another journey that
-    passes all touched zones on the same sides is therefore not cheaper; see docs/theory/routes.md.
+    no effect on it: without this zone, the flight would still be a local optimum. If it is the only
+    optimum that passes the touched zones on these sides, no other journey on these sides is
+    cheaper; see docs/theory/routes.md, which says that this condition is not proven.
 
     Parameters
     ----------
