@@ -16,6 +16,7 @@ from math import nan
 from time import process_time
 
 import numpy as np
+from scipy.ndimage import label
 
 from pyomo_quad.flight import Planner, PlanStatus
 from pyomo_quad.flight.corridors import WindMap
@@ -46,7 +47,8 @@ LONGEST_SOLVE_S = 300
 ABOUT = (
     f"Missions of `scenarios/street.toml` between random places {NEAREST_M:g} to {FARTHEST_M:g} m "
     f"apart, in the wind of {len(DIRECTIONS)} of its directions, 6 m/s undisturbed; {PAIRS} pairs "
-    "of places for each direction are drawn, and the table has those planned so far. *Plan*: what "
+    "of places for each direction are drawn, between which the buildings leave a way inside the "
+    "field, and the table has those planned so far. *Plan*: what "
     f"`pyomo-quad solve` finds at accuracy `{ACCURACY}`, from the corridors that its search on a "
     f"grid finds. *Best start*: the best of {STARTS} solves of the same problem from random "
     "routes, each through one or two random places and round the buildings; all are solved on the "
@@ -65,6 +67,8 @@ RESULTS = FOLDER / "pairs.jsonl"
 HEIGHT_M = 15.0
 # From a place to the nearest building, beside the clearance of the mission [m].
 AROUND_PLACES_M = 3.0
+# Distance of the samples of the ground [m].
+SAMPLED_M = 0.5
 # Random places of a start lie within this share of the distance round start and goal.
 ROUND_SHARE = 0.4
 # Energies this near are those of one flight.
@@ -144,18 +148,44 @@ def drawn(random, told, low, high):
             return place
 
 
+class Ground:
+    """Parts of the field's ground between which the buildings, which are all too high, leave a way.
+
+    The ground is sampled every half metre, and belongs to no part within the clearance of a
+    building. No flight leaves the field.
+    """
+
+    def __init__(self, told):
+        grid = told.wind.grid
+        self._first = np.array([grid.x[0], grid.y[0]])
+        across = [np.arange(axis[0], axis[-1], SAMPLED_M) for axis in (grid.x, grid.y)]
+        x, y = np.meshgrid(*across, indexing="ij")
+        places = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT_M)])
+        is_room = np.ones(x.size, dtype=bool)
+        for zone in told.airspace.keep_out:
+            is_room &= zone.depth(places) + told.airspace.clearance <= 0.0
+        self._parts = label(is_room.reshape(x.shape))[0]
+
+    def part(self, place):
+        return self._parts[tuple(((place[:2] - self._first) // SAMPLED_M).astype(int))]
+
+    def joins(self, start, goal):
+        return self.part(start) == self.part(goal) != 0
+
+
 def missions(count, direction_deg):
     """Draw missions as tuples of scenario settings; equal directions give equal missions."""
     random = np.random.default_rng(direction_deg)
     told = load_scenario(
         SCENARIO, [f"wind.field='{SCENARIO.parent}/winds/street_{direction_deg:03d}.nc'"]
     )
-    grid = told.wind.grid
+    grid, ground = told.wind.grid, Ground(told)
     low, high = (grid.x[0], grid.y[0]), (grid.x[-1], grid.y[-1])
     found = 0
     while found < count:
         start, goal = drawn(random, told, low, high), drawn(random, told, low, high)
-        if NEAREST_M <= np.linalg.norm(goal - start) <= FARTHEST_M:
+        is_near = NEAREST_M <= np.linalg.norm(goal - start) <= FARTHEST_M
+        if is_near and ground.joins(start, goal):
             found += 1
             yield mission_of(direction_deg, start, goal)
 

@@ -13,6 +13,7 @@ from tests.benchmarks.pairs import (
     DIRECTIONS,
     FARTHEST_M,
     NEAREST_M,
+    Ground,
     Outcome,
     is_free,
     missions,
@@ -39,6 +40,15 @@ def test_places_lie_free_and_as_far_apart_as_told(told):
     assert NEAREST_M <= np.linalg.norm(np.subtract(goal, start)) <= FARTHEST_M
     house = np.mean(told.airspace.keep_out[0].corners, axis=0)
     assert not is_free(told, (*house, 15.0))
+
+
+def test_places_that_buildings_and_the_edge_of_the_field_part_are_no_pair(told):
+    """Houses 10 and 12 and the field's edge close a yard; a place beside it is in the open."""
+    ground, yard = Ground(told), np.array([329.0, 215.8, 15.0])
+    start, goal = (np.array(place) for place in told.mission.positions)
+    assert ground.joins(start, goal)
+    assert ground.joins(yard, yard)
+    assert not ground.joins(yard, goal)
 
 
 def test_random_routes_differ_and_lead_from_start_to_goal_past_all_buildings(told):
