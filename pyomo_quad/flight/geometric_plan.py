@@ -23,7 +23,7 @@ from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.references import quintic_progress
-from pyomo_quad.flight.routes import NoRouteError, find_journeys
+from pyomo_quad.flight.routes import NoRouteError, journeys_of
 from pyomo_quad.flight.smoothed_route import Pace, SmoothPath, Stop, smoothed
 from pyomo_quad.flight.steady import PITCH, ROLL
 from pyomo_quad.flight.verdict import path_of, plan_of, verified
@@ -97,7 +97,7 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     ):
         return None
     try:
-        journey = find_journeys(told.airspace, told.mission.positions)[0]
+        journey = journeys_of(told)[0]
         fastest = _fastest(told, journey, mission.steady)
         least_energy = _energy_of_steady_flight(mission, journey, fastest)
         return _first_usable(mission, journey, fastest, least_energy)

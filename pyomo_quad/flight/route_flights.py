@@ -24,7 +24,7 @@ from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.parallel_solves import most_solves, solve_side_by_side
 from pyomo_quad.flight.references import quintic_progress
-from pyomo_quad.flight.routes import Journey, NoRouteError, TriedRoute, find_journeys, length_of
+from pyomo_quad.flight.routes import Journey, NoRouteError, TriedRoute, journeys_of, length_of
 from pyomo_quad.flight.verdict import energy_of
 from pyomo_quad.flight.zones import Side, sides_passed
 from pyomo_quad.scenario import Scenario
@@ -285,7 +285,7 @@ class RouteFlights:
         highest accuracy, `proof`.
         """
         told = self._scenario
-        journeys = find_journeys(told.airspace, told.mission.positions)[:most]
+        journeys = journeys_of(told)[:most]
         if self._has_corridors and most is None:
             steady = self._mission.problems.steady_flight(told)
             return corridor_journeys(told, steady, journeys[0])

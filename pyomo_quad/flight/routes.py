@@ -50,8 +50,9 @@ from pyomo_quad.flight.zones import (
     sides_passed,
     zones_hit,
 )
+from pyomo_quad.model.airspace import field_edges
 from pyomo_quad.scenario import Scenario, ScenarioError
-from pyomo_quad.scenario.airspace import Airspace, KeepOut
+from pyomo_quad.scenario.airspace import Airspace, KeepIn, KeepOut
 from pyomo_quad.scenario.tables import CruiseSettings
 
 Place = tuple[float, float, float]
@@ -238,6 +239,44 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
         longer = [(*journey, route) for journey in journeys for route in routes]
         journeys = sorted(longer, key=length_of)[:MOST_ROUTES]
     return tuple(journeys)
+
+
+def journeys_of(told: Scenario) -> tuple[Journey, ...]:
+    """Return the shortest journeys of a mission, inside the edges of its wind field.
+
+    A journey is a sequence of routes, one for each leg from one waypoint to the next. Journeys stay
+    inside the edges of the field if the mission may not leave it (see `field_edges`) and has no
+    fence of its own.
+
+    Parameters
+    ----------
+    told : Scenario
+        The mission.
+
+    Returns
+    -------
+    tuple of tuple of Route
+        The journeys, the shortest first.
+
+    Raises
+    ------
+    NoRouteError
+        If zones, or zones and the edges of the field, block a leg; the message names the zones.
+    """
+    airspace, edges = told.airspace, field_edges(told)
+    if not edges or airspace.keep_in is not None:
+        return find_journeys(airspace, told.mission.positions)
+    west, east, south, north = (edges[name][2] for name in ("west", "east", "south", "north"))
+    field = KeepIn(corners=((west, south), (east, south), (east, north), (west, north)))
+    fenced = airspace.model_copy(update={"keep_in": field})
+    try:
+        return find_journeys(fenced, told.mission.positions)
+    except NoRouteError as error:
+        # If the zones alone block every route, the message needs no field.
+        find_journeys(airspace, told.mission.positions)
+        raise NoRouteError(
+            f"{error} A flight may not leave wind.field either, unless wind.beyond = 'hold'."
+        ) from None
 
 
 def length_of(journey: Journey) -> float:

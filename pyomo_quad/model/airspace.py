@@ -107,7 +107,23 @@ def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     return {} if ground is None else ground.edges
 
 
-def _field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
+def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
+    """Return the edges of the wind field that a flight may not leave, by name.
+
+    Each value is a tuple: the axis (0 for x, 1 for y, 2 for z), the side (-1 for the lower end, 1
+    for the upper) and the coordinate of the edge on the axis [m]. The result is empty without a
+    field, and where the field is extended beyond its edges.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        The mission and its wind.
+
+    Examples
+    --------
+    >>> field_edges(scenario)
+    {}
+    """
     wind = scenario.wind
     return {} if wind.grid is None or wind.beyond is Beyond.HOLD else wind.grid.edges
 
@@ -183,7 +199,7 @@ _OF_ALL = (
     Parameter(
         name="field_end",
         units=units.m,
-        value=lambda s: {name: end for name, (_, _, end) in _field_edges(s).items()},
+        value=lambda s: {name: end for name, (_, _, end) in field_edges(s).items()},
         doc="coordinate of an edge of the wind field",
     ),
 )
@@ -254,7 +270,7 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
 
     for of_grid, limit, parameter, doc in (
         (_edges(scenario), "terrain_edge", "terrain_end", "inside of the terrain [m]"),
-        (_field_edges(scenario), "field_edge", "field_end", "inside of the wind field [m]"),
+        (field_edges(scenario), "field_edge", "field_end", "inside of the wind field [m]"),
     ):
         if of_grid:
             inside = partial(_inside, of_grid, parameter)

@@ -16,7 +16,7 @@ from itertools import pairwise
 from math import dist, inf, log10
 from typing import TYPE_CHECKING
 
-from pyomo_quad.flight.routes import NoRouteError, find_journeys
+from pyomo_quad.flight.routes import NoRouteError, journeys_of
 from pyomo_quad.flight.tour import BEST_FEW, legs_expected
 from pyomo_quad.scenario.mission import Order
 
@@ -181,7 +181,7 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
     """
     mission, solver = scenario.mission, scenario.solver
     try:
-        journeys = find_journeys(scenario.airspace, mission.positions)
+        journeys = journeys_of(scenario)
     except NoRouteError:
         journeys = ()
     is_between_zones = any(route.sides for journey in journeys for route in journey)

@@ -9,10 +9,12 @@ from scipy.optimize import minimize_scalar
 
 from pyomo_quad import processes
 from pyomo_quad.collocation import Mesh
+from pyomo_quad.flight import PlanStatus
 from pyomo_quad.flight.corridors import Corridors, has_corridors
 from pyomo_quad.flight.route_flights import RouteFlights
-from pyomo_quad.flight.routes import Route
+from pyomo_quad.flight.routes import NoRouteError, Route, journeys_of
 from pyomo_quad.scenario import load_scenario
+from tests.flights import PLANNER
 from tests.unit.flight.coarse_solution import solution_at
 
 X, Y = np.linspace(0, 200, 41), np.linspace(0, 120, 25)
@@ -110,6 +112,27 @@ def test_places_without_a_way_between_them_have_no_corridor(tmp_path):
     found = corridors_in(tmp_path, divided)
     assert found.routes() == []
     assert found.energy_of(ENDS) is None
+
+
+def test_a_wall_across_the_field_leaves_no_way_unless_the_field_goes_on_beyond_its_edges(tmp_path):
+    """The wall ends outside of the field, so that a route round it would leave the field."""
+    wall = {
+        "name": "wall",
+        "shape": "box",
+        "low": [95.0, -5.0, -10.0],
+        "high": [105.0, 125.0, 400.0],
+    }
+    told = mission_in(
+        tmp_path, lambda _x, y: (0.01 * y, 0.0), keep_out=[wall], floor=1.0, ceiling=50.0
+    )
+    with pytest.raises(NoRouteError, match=r"wall .* may not leave wind\.field"):
+        journeys_of(told)
+    beyond = told.with_values({"wind.beyond": "hold"})
+    (route,) = journeys_of(beyond)[0]
+    assert not 0.0 <= route.places[:, 1].min() <= route.places[:, 1].max() <= 120.0
+    planned = PLANNER.solve(told)
+    assert planned.status is PlanStatus.INFEASIBLE
+    assert "wind.beyond" in planned.message
 
 
 def test_the_mission_is_solved_along_every_corridor(tmp_path, monkeypatch):
