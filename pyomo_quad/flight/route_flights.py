@@ -50,7 +50,7 @@ _PACES = (1.0, 1.5)
 # Durations of the further guesses through a wind field, relative to the best solution so far; the
 # largest number of solves from them; and the least relative saving for which a solution replaces
 # the best one.
-_FASTER, _MOST_FASTER, _SAVED = (0.7, 0.85), 8, 1e-4
+_FASTER, _MOST_FASTER, _SAVED = (0.7, 0.85, 0.6), 12, 1e-4
 # Sides on which a flight touches zones, as pairs of name and side, for each leg.
 _SidesTouched = tuple[frozenset[tuple[str, Side]], ...]
 # Number of meshes of a solve to the next mesh, including the first.
