@@ -5,7 +5,7 @@ simulated by SciPy with the scenario's own equations, must reproduce the states 
 """
 
 from dataclasses import replace
-from math import isfinite
+from math import inf, isfinite
 
 import numpy as np
 
@@ -19,6 +19,8 @@ from pyomo_quad.flight.verification import (
     BALANCE_TOLERANCE,
     Passage,
     Verification,
+    beyond,
+    tolerated,
     verify_controls,
     wind_lacking,
 )
@@ -101,7 +103,28 @@ def refuse_unproven(
     lost = wind_lacking(scenario, dynamics, flown)
     if lost:
         raise ScenarioError(f"{scenario.name}: flown again, {lost}")
+    _refuse_broken_limits(scenario, dynamics, flown, allowed)
     _refuse_failed(scenario, verification, energy, allowed)
+
+
+def _refuse_broken_limits(
+    scenario: Scenario, dynamics: Dynamics, flown: Flown, allowed: Figures
+) -> None:
+    """Raise a ScenarioError if a plan's simulated flight breaks a limit by more than is tolerated.
+
+    `scenario` gives the name of the mission for the error message. `flown` is the simulated flight
+    of the vehicle `dynamics`. `allowed` has the tolerances; that on an intrusion into a zone is not
+    used, since the controls of a plan from a table are rounded.
+    """
+    (breaches,) = dynamics.violations_of(
+        dynamics.solved(flown.t, flown.states, flown.controls), flown.t
+    )
+    figures = replace(allowed, intrusion=inf)
+    for breach in beyond(breaches, figures):
+        raise ScenarioError(
+            f"{scenario.name}: flown again, the plan has a breach of {breach.name} of "
+            f"{breach.size:.3g}; must be at most {tolerated(breach, figures):g}; {_AGAIN}"
+        )
 
 
 def _refuse_failed(
@@ -109,19 +132,14 @@ def _refuse_failed(
 ) -> None:
     """Raise a ScenarioError if a plan's simulated flight does not meet the tolerances.
 
-    The function checks the limits, the energy, the waypoints, and whether the battery can supply
-    the power. `verification` compares the simulated flight with the plan. `energy` is the energy
-    that the plan states [J]. `allowed` has the tolerances. `scenario` gives the name of the mission
-    for the error message.
+    The function checks the energy, the waypoints, and whether the battery can supply the power.
+    `verification` compares the simulated flight with the plan. `energy` is the energy that the plan
+    states [J]. `allowed` has the tolerances. `scenario` gives the name of the mission for the error
+    message.
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
     failings = (
-        (
-            verification.max_violation,
-            allowed.breach,
-            f"breach of {verification.worst_constraint}",
-        ),
         (share, allowed.energy, "share of the energy not accounted for"),
         (passed, allowed.miss, "distance in m by which a waypoint is missed"),
         (verification.battery_imbalance, BALANCE_TOLERANCE, "share that the pack cannot give"),

@@ -131,12 +131,21 @@ def test_a_flight_through_the_places_is_read_as_the_same_mission(tmp_path, name,
 @pytest.mark.parametrize("name", PLANS)
 def test_a_plan_is_exported_and_read_as_the_same_places(tmp_path, name):
     scenario = read_mission(MISSIONS / f"{name}.plan", payload_kg=0.4).scenario
-    plan = Planner().solve(scenario.with_values({"solver.accuracy": "quick"}))
+    # At `quick`, a plan may pass its waypoints farther off than 1 mm.
+    plan = Planner().solve(scenario.with_values({"solver.accuracy": "standard"}))
     assert plan.is_verified
     made = export_plan(plan, "qgroundcontrol", tmp_path / "flown.plan")
     assert made.position_error_m < 0.26
     again = read_mission(made.path, payload_kg=0.4).scenario
     np.testing.assert_allclose(places(again), places(scenario), atol=1e-3)
+
+
+@pytest.mark.slow
+def test_a_quick_plan_whose_heading_turns_as_much_as_is_tolerated_is_exported(tmp_path):
+    scenario = read_mission(MISSIONS / "square.plan", payload_kg=0.4).scenario
+    plan = Planner().solve(scenario.with_values({"solver.accuracy": "quick"}))
+    assert plan.is_verified
+    assert export_plan(plan, "qgroundcontrol", tmp_path / "flown.plan").position_error_m < 0.26
 
 
 def test_the_command_writes_a_scenario_that_loads(tmp_path, monkeypatch, capsys):
