@@ -103,24 +103,19 @@ def refuse_unproven(
     lost = wind_lacking(scenario, dynamics, flown)
     if lost:
         raise ScenarioError(f"{scenario.name}: flown again, {lost}")
-    _refuse_broken_limits(scenario, dynamics, flown, allowed)
+    _refuse_broken_limits(scenario, verification, allowed)
     _refuse_failed(scenario, verification, energy, allowed)
 
 
-def _refuse_broken_limits(
-    scenario: Scenario, dynamics: Dynamics, flown: Flown, allowed: Figures
-) -> None:
+def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by more than is tolerated.
 
-    `scenario` gives the name of the mission for the error message. `flown` is the simulated flight
-    of the vehicle `dynamics`. `allowed` has the tolerances; that on an intrusion into a zone is not
-    used, since the controls of a plan from a table are rounded.
+    `scenario` gives the name of the mission for the error message. `verification` has the
+    violations of limits along the simulated flight. `allowed` has the tolerances; that on an
+    intrusion into a zone is not used, since the controls of a plan from a table are rounded.
     """
-    (breaches,) = dynamics.violations_of(
-        dynamics.solved(flown.t, flown.states, flown.controls), flown.t
-    )
     figures = replace(allowed, intrusion=inf)
-    for breach in beyond(breaches, figures):
+    for breach in beyond(verification.breaches, figures):
         raise ScenarioError(
             f"{scenario.name}: flown again, the plan has a breach of {breach.name} of "
             f"{breach.size:.3g}; must be at most {tolerated(breach, figures):g}; {_AGAIN}"

@@ -207,6 +207,8 @@ class Verification:
     max_violation, worst_constraint : float, str
         Largest violation of a limit along the flight, and the name of the violated limit. The
         violation is relative to the larger of 1 and the limit.
+    breaches : tuple of Violation
+        The largest violation of each limit along the flight.
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
@@ -238,6 +240,7 @@ class Verification:
     energy_difference_J: float
     flown_energy_J: float
     is_verified: bool
+    breaches: tuple[Violation, ...] = ()
     broken_limits: tuple[str, ...] = ()
     passing_misses_m: tuple[float, ...] = ()
     battery_imbalance: float = 0.0
@@ -583,6 +586,7 @@ def compared(
         energy_difference_J=flown_energy - energy,
         flown_energy_J=flown_energy,
         is_verified=reached is accuracy,
+        breaches=breaches,
         broken_limits=tuple(
             breach_words(b, dynamics.unit(b.name)) for b in beyond(breaches, figures)
         ),

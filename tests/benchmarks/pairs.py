@@ -16,14 +16,13 @@ from math import nan
 from time import process_time
 
 import numpy as np
-from scipy.ndimage import label
 
 from pyomo_quad.flight import Planner, PlanStatus
 from pyomo_quad.flight.corridors import WindMap
 from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import RouteFlights
-from pyomo_quad.flight.routes import NoRouteError, Route, find_journeys
+from pyomo_quad.flight.routes import NoRouteError, Route, find_journeys, journeys_of
 from pyomo_quad.scenario import load_scenario
 from pyomo_quad.scenario.accuracy import Accuracy
 from pyomo_quad.scenario.messages import PyomoQuadError
@@ -67,8 +66,6 @@ RESULTS = FOLDER / "pairs.jsonl"
 HEIGHT_M = 15.0
 # From a place to the nearest building, beside the clearance of the mission [m].
 AROUND_PLACES_M = 3.0
-# Distance of the samples of the ground [m].
-SAMPLED_M = 0.5
 # Random places of a start lie within this share of the distance round start and goal.
 ROUND_SHARE = 0.4
 # Energies this near are those of one flight.
@@ -148,29 +145,12 @@ def drawn(random, told, low, high):
             return place
 
 
-class Ground:
-    """Parts of the field's ground between which the buildings, which are all too high, leave a way.
-
-    The ground is sampled every half metre, and belongs to no part within the clearance of a
-    building. No flight leaves the field.
-    """
-
-    def __init__(self, told):
-        grid = told.wind.grid
-        self._first = np.array([grid.x[0], grid.y[0]])
-        across = [np.arange(axis[0], axis[-1], SAMPLED_M) for axis in (grid.x, grid.y)]
-        x, y = np.meshgrid(*across, indexing="ij")
-        places = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, HEIGHT_M)])
-        is_room = np.ones(x.size, dtype=bool)
-        for zone in told.airspace.keep_out:
-            is_room &= zone.depth(places) + told.airspace.clearance <= 0.0
-        self._parts = label(is_room.reshape(x.shape))[0]
-
-    def part(self, place):
-        return self._parts[tuple(((place[:2] - self._first) // SAMPLED_M).astype(int))]
-
-    def joins(self, start, goal):
-        return self.part(start) == self.part(goal) != 0
+def has_way(told):
+    """Return whether the buildings leave a way from start to goal inside the field."""
+    try:
+        return bool(journeys_of(told))
+    except NoRouteError:
+        return False
 
 
 def missions(count, direction_deg):
@@ -179,15 +159,16 @@ def missions(count, direction_deg):
     told = load_scenario(
         SCENARIO, [f"wind.field='{SCENARIO.parent}/winds/street_{direction_deg:03d}.nc'"]
     )
-    grid, ground = told.wind.grid, Ground(told)
+    grid = told.wind.grid
     low, high = (grid.x[0], grid.y[0]), (grid.x[-1], grid.y[-1])
     found = 0
     while found < count:
         start, goal = drawn(random, told, low, high), drawn(random, told, low, high)
+        settings = mission_of(direction_deg, start, goal)
         is_near = NEAREST_M <= np.linalg.norm(goal - start) <= FARTHEST_M
-        if is_near and ground.joins(start, goal):
+        if is_near and has_way(told_of(settings)):
             found += 1
-            yield mission_of(direction_deg, start, goal)
+            yield settings
 
 
 def random_routes(told, count, seed):

@@ -13,9 +13,10 @@ from tests.benchmarks.pairs import (
     DIRECTIONS,
     FARTHEST_M,
     NEAREST_M,
-    Ground,
     Outcome,
+    has_way,
     is_free,
+    mission_of,
     missions,
     random_routes,
     tables,
@@ -44,11 +45,15 @@ def test_places_lie_free_and_as_far_apart_as_told(told):
 
 def test_places_that_buildings_and_the_edge_of_the_field_part_are_no_pair(told):
     """Houses 10 and 12 and the field's edge close a yard; a place beside it is in the open."""
-    ground, yard = Ground(told), np.array([329.0, 215.8, 15.0])
+    yard = np.array([329.0, 215.8, 15.0])
     start, goal = (np.array(place) for place in told.mission.positions)
-    assert ground.joins(start, goal)
-    assert ground.joins(yard, yard)
-    assert not ground.joins(yard, goal)
+
+    def joins(one, other):
+        return has_way(told_of(mission_of(DIRECTIONS[0], one, other)))
+
+    assert joins(start, goal)
+    assert joins(yard, yard - [1.0, 0.0, 0.0])
+    assert not joins(yard, goal)
 
 
 def test_random_routes_differ_and_lead_from_start_to_goal_past_all_buildings(told):
