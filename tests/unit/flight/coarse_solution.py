@@ -6,6 +6,7 @@ import numpy as np
 
 from pyomo_quad.collocation import Status, Trajectory
 from pyomo_quad.flight.flight import POSITION_STATES
+from pyomo_quad.flight.route_flights import RouteFlights
 
 
 def solution_at(height, objective, mesh):
@@ -23,3 +24,23 @@ def solution_at(height, objective, mesh):
         mesh=mesh,
         problem=SimpleNamespace(compiled=SimpleNamespace(declared=declared)),
     )
+
+
+class CoarseFlights(RouteFlights):
+    """Flights along routes whose solutions are given by tests, as `solution_at` returns them."""
+
+    def __init__(self):
+        """Need no mission."""
+        self._mission = None
+
+    def fly_again(self, flown, _share):
+        return flown
+
+    def refine(self, flown, _meshes):
+        return flown
+
+    def energy_of(self, solution):
+        return solution.objective
+
+    def as_flown(self, journey, _solution):
+        return journey

@@ -15,7 +15,7 @@ from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.routes import NoRouteError, Route, journeys_of
 from pyomo_quad.scenario import load_scenario
 from tests.flights import PLANNER
-from tests.unit.flight.coarse_solution import solution_at
+from tests.unit.flight.coarse_solution import CoarseFlights, solution_at
 
 X, Y = np.linspace(0, 200, 41), np.linspace(0, 120, 25)
 ENDS = np.array([[20.0, 60.0, 10.0], [180.0, 60.0, 10.0]])
@@ -142,22 +142,13 @@ def test_the_mission_is_solved_along_every_corridor(tmp_path, monkeypatch):
     corridors = [(Route(places=ENDS, sides=(), label=f"corridor {k}"),) for k in range(3)]
     solved = []
 
-    class Flights(RouteFlights):
+    class Flights(CoarseFlights):
+        def __init__(self):
+            RouteFlights.__init__(self, SimpleNamespace(told=told))
+
         def fly(self, journey):
             solved.append(journey[0].label)
             return solution_at(float(len(solved)), 100.0 * len(solved), Mesh.uniform(4, 3))
 
-        def fly_again(self, flown, _share):
-            return flown
-
-        def refine(self, flown, _meshes):
-            return flown
-
-        def energy_of(self, solution):
-            return solution.objective
-
-        def as_flown(self, journey, _solution):
-            return journey
-
-    Flights(SimpleNamespace(told=told)).compared(corridors)
+    Flights().compared(corridors)
     assert solved == ["corridor 0", "corridor 1", "corridor 2"]

@@ -34,7 +34,7 @@ from pyomo_quad.scenario.airspace import Airspace
 from tests.command import PAPER_CALM
 from tests.declared_model import scenario
 from tests.flights import PLANNER
-from tests.unit.flight.coarse_solution import solution_at
+from tests.unit.flight.coarse_solution import CoarseFlights, solution_at
 
 START, GOAL = (0.0, 0.0, 5.0), (20.0, 0.0, 5.0)
 MAST = {
@@ -326,11 +326,7 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once(monkeyp
     heights = iter([1.0, 2.0])
     refined = []
 
-    class Flights(RouteFlights):
-        def __init__(self):
-            """Need no mission."""
-            self._mission = None
-
+    class Flights(CoarseFlights):
         def fly(self, _journey):
             return solution_at(next(heights), 100.0, Mesh.uniform(4, 3))
 
@@ -340,12 +336,6 @@ def test_ways_that_become_one_flight_on_the_second_mesh_are_refined_once(monkeyp
                 return known
             elements = 5 if known.trajectory.states[0, 0] == 1.0 else 6
             return solution_at(1.5, 100.0 + 1e-9 * elements, Mesh.uniform(elements, 3))
-
-        def energy_of(self, solution):
-            return solution.objective
-
-        def as_flown(self, journey, _solution):
-            return journey
 
     best, tried = Flights().compared(journeys)
     assert refined == [best]
@@ -358,12 +348,8 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
     journeys = find_journeys(airspace(floor=0.0, ceiling=9.0), [START, GOAL])
     cost, mesh = {10.0: 100.0, 8.0: 90.0, 7.0: 80.0, 5.0: 95.0}, Mesh.uniform(4, 3)
 
-    class Flights(RouteFlights):
+    class Flights(CoarseFlights):
         paces = (1.0, 1.5)
-
-        def __init__(self):
-            """Need no mission."""
-            self._mission = None
 
         def fly(self, _journey):
             return solution_at(10.0, cost[10.0], mesh)
@@ -372,15 +358,6 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
             duration = flown.trajectory.states[0, 0]
             near = min(cost, key=lambda known: abs(known - share * duration))
             return solution_at(near, cost[near], mesh)
-
-        def refine(self, flown, _meshes):
-            return flown
-
-        def energy_of(self, solution):
-            return solution.objective
-
-        def as_flown(self, journey, _solution):
-            return journey
 
     assert Flights().compared(journeys)[0].objective == min(cost.values())
 
