@@ -554,6 +554,8 @@ def control_polynomial(
 
 # Highest degree of a mesh read from a file; nodes of a higher degree take long to compute.
 _HIGHEST_DEGREE = 100
+# Bound of the rounding error of a fraction that is computed from a time and the ends of a horizon.
+_ROUNDING = 1e-12
 
 
 class Summarised(ABC):
@@ -751,7 +753,8 @@ class Mesh(Summarised):
     def locate(self, fractions: FloatArray) -> NDArray[np.intp]:
         """Return the index of the element that contains each of several times.
 
-        A boundary belongs to the element that ends there.
+        A boundary belongs to the element that ends there, also if its fraction was computed from a
+        time in seconds, whose rounding error may move it past the boundary.
 
         Parameters
         ----------
@@ -764,4 +767,4 @@ class Mesh(Summarised):
             In the shape of `fractions`.
         """
         inner = np.asarray(self.breakpoints)[1:-1]
-        return np.searchsorted(inner, fractions, side="left").astype(np.intp)
+        return np.searchsorted(inner, fractions - _ROUNDING, side="left").astype(np.intp)

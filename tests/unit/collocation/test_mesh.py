@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis.strategies import floats
 
 from pyomo_quad.collocation import Mesh, Timeline, TranscriptionError, control_polynomial
 from pyomo_quad.collocation.mesh import interpolation_matrix, radau_rule
@@ -35,6 +37,15 @@ def test_a_boundary_belongs_to_the_element_it_ends():
     np.testing.assert_array_equal(
         UNEVEN.locate(np.array([0.0, 0.1, 0.2, 0.2000001, 0.5, 1.0])), [0, 0, 0, 1, 1, 2]
     )
+
+
+@given(start=floats(0.0, 100.0), duration=floats(0.5, 1000.0))
+def test_a_time_at_a_boundary_belongs_to_the_element_it_ends_in_spite_of_rounding(start, duration):
+    # Controls jump at boundaries; a table of a plan has the values at the ends of the elements.
+    mesh = Mesh.uniform(60, 2)
+    times = start + duration * mesh.node_fractions[1:]
+    fractions = (times - start) / (start + duration - start)
+    np.testing.assert_array_equal(mesh.locate(fractions), mesh.element_of_point)
 
 
 def test_breakpoints_are_added_once():
