@@ -450,7 +450,8 @@ class JointProblem(Summarised):
         meshes : sequence of Mesh or None
             Mesh of each horizon, and None for the coupling.
         instances : sequence of Instance
-            Parameter values and horizon of the solve, for each horizon and for the coupling.
+            Data of the solve (parameter values, start and end of the time), for each horizon and
+            for the coupling.
         """
         programs = [
             part.program(mesh, instance)

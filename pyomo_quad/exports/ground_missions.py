@@ -426,8 +426,8 @@ def _place_of(
     commands, other places of the mission determine the result:
 
     - A return to the launch place leads to the first place.
-    - A landing leads to a place at the height of the first place, because the flight of the
-      scenario ends with hovering above the ground.
+    - A landing leads to a place above the landing point, at the height of the first place: the
+      flight of a scenario ends with hovering, not on the ground.
     - A command without latitude and longitude takes both from the last place before it. If there is
       no last place, it takes them from the home position.
 

@@ -265,7 +265,8 @@ def broken_limits(
         Name of a limit without its index -> tolerance on its violation, in the unit of the limit;
         zero for limits that it does not contain.
     breach : float
-        Tolerance on the violation of every limit, relative to the larger of 1 and the limit.
+        Second tolerance, relative to the larger of 1 and the limit. A limit is returned if its
+        violation exceeds both tolerances.
 
     Returns
     -------

@@ -45,8 +45,6 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
-# Paces of the guesses through a wind field (see `RouteFlights.paces`).
-_PACES = (1.0, 1.5)
 # Durations of the further guesses through a wind field, relative to the best solution so far; the
 # largest number of solves from them; and the least relative saving for which a solution replaces
 # the best one.
@@ -73,10 +71,10 @@ class RouteFlights:
 
     Attributes
     ----------
-    paces : tuple of float
-        Durations of the initial guesses along each journey, relative to the nominal duration. A
-        flight of free duration through a wind field has several, because it has many local optima.
-        The best solution then also is the start of further solves (see `_faster`).
+    has_several_optima : bool
+        Whether a journey may have several optima of different durations, as flights of free
+        duration through a wind field have. The best solution then is the start of further solves
+        (see `_faster`).
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -85,7 +83,7 @@ class RouteFlights:
     _is_pruned = False
     # Whether the easier mission past the waypoints is solved first.
     _is_plain = False
-    paces: tuple[float, ...] = (1.0,)
+    has_several_optima = False
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
         self._mission, self._scenario, self._known = mission, mission.told, known
@@ -94,8 +92,7 @@ class RouteFlights:
         self._tolerance = solver.tolerance
         self._has_corridors = has_corridors(self._scenario)
         flight = self._scenario.mission
-        if self._has_corridors and flight.is_free and not flight.waypoints:
-            self.paces = _PACES
+        self.has_several_optima = self._has_corridors and flight.is_free and not flight.waypoints
         if solver.accuracy is not Accuracy.PROOF:
             self._near_on_first *= _ALIKE
             # Through a wind field, several optima pass the zones on the same sides.
@@ -147,7 +144,7 @@ class RouteFlights:
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
         known = dict(enumerate(solution for _, solution in flown))
-        if len(self.paces) > 1:
+        if self.has_several_optima:
             cheapest = _cheapest(known)[0]
             known[cheapest] = self._faster(known[cheapest])
         near = self._near(known)
@@ -321,17 +318,34 @@ class RouteFlights:
         return cost
 
     def fly(self, journey: Journey) -> Solution:
-        """Solve the mission on one mesh from initial guesses along a journey.
+        """Solve the mission on one mesh from an initial guess along a journey.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. The
-        mission is solved once for each duration in `paces`. The best of the solutions is returned.
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. If the
+        solve fails, it is repeated from the solution of an easier mission. In the easier mission
+        the vehicle passes exactly through the waypoints. After one such failure, the easier mission
+        is solved first for all further journeys, too, because the solve would be as difficult along
+        any journey.
         """
         if self._known is not None:
             known, self._known = self._known, None
             return known
-        solves = [partial(self._fly_at, journey, pace) for pace in self.paces]
-        solved = solve_side_by_side(self._mission, solves)
-        return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
+        told, mission = self._scenario, self._mission
+        guess: Any = guess_along(
+            journey,
+            told.nominal_times,
+            is_open=told.mission.is_free,
+            # A waypoint is usually passed without a stop.
+            is_even=len(journey) > 1 or self._has_corridors,
+        )
+        if self._is_plain and mission.past_waypoints is not None:
+            begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
+            guess = begun.trajectory if begun.status.is_solved else guess
+        rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=self._rough_options())
+        is_new = rough.status.has_failed and not self._is_plain
+        if not is_new or mission.past_waypoints is None:
+            return rough
+        self._is_plain = True
+        return self.fly(journey)
 
     def _faster(self, flown: Solution) -> Solution:
         """Solve again from a solution flown in less time, until that saves no more energy.
@@ -371,34 +385,6 @@ class RouteFlights:
         if self._scenario.solver.max_refinements > 0:
             options = replace(options, tolerance=ON_FIRST)
         return options
-
-    def _fly_at(self, journey: Journey, pace: float) -> Solution:
-        """Solve the mission on one mesh from an initial guess along a journey.
-
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. `pace` is
-        the duration of the guess relative to the nominal duration of the mission. If the solve
-        fails, it is repeated from the solution of an easier mission. In the easier mission the
-        vehicle passes exactly through the waypoints. After one such failure, the easier mission is
-        solved first for all further journeys, too, because the solve would be as difficult along
-        any journey.
-        """
-        told, mission = self._scenario, self._mission
-        guess: Any = guess_along(
-            journey,
-            [pace * time for time in told.nominal_times],
-            is_open=told.mission.is_free,
-            # A waypoint is usually passed without a stop.
-            is_even=len(journey) > 1 or self._has_corridors,
-        )
-        if self._is_plain and mission.past_waypoints is not None:
-            begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
-            guess = begun.trajectory if begun.status.is_solved else guess
-        rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=self._rough_options())
-        is_new = rough.status.has_failed and not self._is_plain
-        if not is_new or mission.past_waypoints is None:
-            return rough
-        self._is_plain = True
-        return self._fly_at(journey, pace)
 
     def _fly_beside(self, journey: Journey) -> Solution:
         """Solve along one of several journeys, without effect on the solves along the others.

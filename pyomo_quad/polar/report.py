@@ -143,7 +143,8 @@ def polar_drawings(polar: Polar) -> tuple[Drawing, ...]:
     Returns
     -------
     tuple of Drawing
-        Figures of power over airspeed, best ground speeds in wind, and reach out and back.
+        Figures of power over airspeed, of the best ground speeds in wind, and of the greatest
+        distance to which the vehicle can fly and return.
     """
     power = (
         "Level, steady flight in still air for each mass carried. The dots mark the speeds of "

@@ -208,7 +208,7 @@ def fly(mission):
     problem = MissionProblem(planner, told.model_copy(update={"solver": solver}).as_forecast())
     flights = RouteFlights(problem)
     # Each random route is one start.
-    flights.paces = (1.0,)
+    flights.has_several_optima = False
     rough = []
     fly_one = flights.fly
 

@@ -79,8 +79,8 @@ def bounds_of(
     ------
     TranscriptionError
         If a lower bound exceeds an upper bound, or if the bounds of free times contradict the order
-        of these times. A free time is a static variable that gives the physical time of a declared
-        time. The message names the variables.
+        of these times. The value of a free time is the time in seconds at which a declared time is
+        reached; it is a variable of the program. The message names the variables.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)

@@ -336,11 +336,11 @@ class Transcription:
         return max(abs(self.objective(z)), parts)
 
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
-        """Return derivatives of the objective with respect to integrals that enter it directly.
+        """Return the derivative of the objective with respect to each integral that occurs in it.
 
-        For each of the other integrals, a static variable (a variable without time) stands in the
-        objective. There is one derivative per direct integral, at the unknowns `z`. The objective
-        is that of the Pyomo model, not negated if it is maximised.
+        Integrals that a static variable (a variable without time) replaces in the objective are
+        left out. The derivatives are evaluated at the unknowns `z`. The objective is that of the
+        Pyomo model, not negated if it is maximised.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)

@@ -349,7 +349,7 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
     cost, mesh = {10.0: 100.0, 8.0: 90.0, 7.0: 80.0, 5.0: 95.0}, Mesh.uniform(4, 3)
 
     class Flights(CoarseFlights):
-        paces = (1.0, 1.5)
+        has_several_optima = True
 
         def fly(self, _journey):
             return solution_at(10.0, cost[10.0], mesh)
