@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from pyomo_quad.collocation import TranscriptionError
 from pyomo_quad.flight.flight import spans_where
 from pyomo_quad.flight.limit_words import excess
 from pyomo_quad.flight.verdict import energy_of
@@ -130,7 +131,8 @@ def within_limits(
         Plan with the result of its simulation. The parameter values stored with the plan are those
         of the mission, without the stricter limits. The iteration ends if a solve fails, or if all
         limits are satisfied at an acceptable cost. It also ends if a stricter limit cannot help:
-        the violation is too large, or no parameter sets the limit.
+        the violation is too large, no parameter sets the limit, or the state at the start or at the
+        goal is outside the stricter limit.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
@@ -155,13 +157,17 @@ def within_limits(
             return
         if not all(_helps(breach, figures) for breach in broken):
             return
-        found = mission.solve(
-            _changed(numbers, margins),
-            tolerance=None,
-            mesh=_denser_mesh(last, windows, denser),
-            warm_start=last,
-            options=mission.arguments["options"].for_other_limits(),
-        )
+        try:
+            found = mission.solve(
+                _changed(numbers, margins),
+                tolerance=None,
+                mesh=_denser_mesh(last, windows, denser),
+                warm_start=last,
+                options=mission.arguments["options"].for_other_limits(),
+            )
+        except TranscriptionError:
+            # The stricter limits exclude the state at the start or at the goal.
+            return
         if not found.status.is_solved:
             return
         last = found

@@ -5,15 +5,17 @@ import pytest
 
 from pyomo_quad.collocation import Mesh
 from pyomo_quad.flight import Planner, tracking
+from pyomo_quad.flight.baselines import declared_start
 from pyomo_quad.flight.integration import discrete
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.stricter_limits import _least_energy, broken_limits, within_limits
 from pyomo_quad.flight.verdict import energy_of, plan_of, verified
 from pyomo_quad.scenario import load_scenario
-from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
+from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy
 from tests.command import PAPER_CALM
 
 PROVEN_J = 709.65279
+ROTOR = "rotors.omega[1]"
 SLOW = ["mission.goal.position=[4.0, 0.0, 1.0]", "mission.duration=6.0"]
 
 
@@ -146,6 +148,19 @@ def test_a_flight_that_breaks_a_limit_slightly_is_solved_again_within_a_stricter
     after = next(within_limits(mission, own, before, FIGURES[asked], fly))
     assert not broken_limits(after, FIGURES[asked])
     assert after.verification.is_usable
+
+
+def test_a_limit_as_strict_as_would_exclude_the_start_is_not_tried(planner):
+    hover = declared_start(load_scenario(PAPER_CALM), planner.dynamics(load_scenario(PAPER_CALM)))
+    told = load_scenario(PAPER_CALM, [f"limits.rotor_speed_max={1.0001 * hover[ROTOR]}"])
+    relaxed = MissionProblem(planner, load_scenario(PAPER_CALM)).solve(
+        mesh=Mesh.uniform(8, 4), tolerance=None
+    )
+    mission = MissionProblem(planner, told)
+    own = mission.unsolved(mesh=relaxed.mesh, guess=relaxed.trajectory)
+    before = verified(plan_of(told, own, {}, 0.0), own, Accuracy.PROOF)
+    assert any(b.name.startswith("limits.rotor_speed") for b in broken_limits(before, USABLE))
+    assert not list(within_limits(mission, own, before, USABLE, lambda *_: before))
 
 
 def test_the_least_energy_is_between_a_relaxed_and_a_stricter_optimum(planner):
