@@ -228,7 +228,9 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return the shaft power and the ideal power of a vehicle in hover, with texts for messages.
+    """Return the shaft power and the ideal power of a vehicle in hover.
+
+    The result also has two texts for warnings, about the drag torque and about the rotor radius.
 
     Parameters
     ----------

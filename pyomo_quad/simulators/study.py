@@ -190,8 +190,8 @@ class OutsideStudy:
         Parameters
         ----------
         case : str
-            Name of the mission: a key of the mapping of missions `CASES`, or the name of a
-            parameter set of RotorPy.
+            Name in the column "case": a key of the mapping of missions `CASES`. For the flights of
+            RotorPy's own vehicles, it is the name of the vehicle's parameter set.
         plant : Plant
             Simulated vehicle.
         controller : str
