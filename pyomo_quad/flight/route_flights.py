@@ -45,6 +45,9 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
+# Durations of the guesses along the first journey if it may have several optima, relative to the
+# nominal duration of the mission.
+_PACES = (1.0, 1.5)
 # Durations of the further guesses through a wind field, relative to the best solution so far; the
 # largest number of solves from them; and the least relative saving for which a solution replaces
 # the best one.
@@ -73,8 +76,8 @@ class RouteFlights:
     ----------
     has_several_optima : bool
         Whether a journey may have several optima of different durations, as flights of free
-        duration through a wind field have. The best solution then is the start of further solves
-        (see `_faster`).
+        duration through a wind field have. The first journey is then solved from guesses of two
+        durations, and the best solution is the start of further solves (see `_faster`).
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -188,7 +191,7 @@ class RouteFlights:
         def is_needed(journey: Journey) -> bool:
             return not any(_is_dominated(journey, sides) for sides in dominant)
 
-        waiting, count, fly = [*journeys], 1, self.fly
+        waiting, count, fly = [*journeys], 1, self._fly_first
         while waiting := [journey for journey in waiting if is_needed(journey)]:
             together, waiting = waiting[:count], waiting[count:]
             solves = [partial(fly, journey) for journey in together]
@@ -317,22 +320,40 @@ class RouteFlights:
 
         return cost
 
-    def fly(self, journey: Journey) -> Solution:
-        """Solve the mission on one mesh from an initial guess along a journey.
+    def _fly_first(self, journey: Journey) -> Solution:
+        """Return the solution along the first of several journeys.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. If the
-        solve fails, it is repeated from the solution of an easier mission. In the easier mission
-        the vehicle passes exactly through the waypoints. After one such failure, the easier mission
-        is solved first for all further journeys, too, because the solve would be as difficult along
-        any journey.
+        It is the solution that is known already, if there is one. Otherwise, the mission is solved
+        by the method `fly`. If the journey may have several optima, it is solved from guesses of
+        several durations, and the best solution is returned.
         """
         if self._known is not None:
-            known, self._known = self._known, None
-            return known
+            return self._known
+        if not self.has_several_optima:
+            return self.fly(journey)
+        solves = [partial(self.fly, journey, pace) for pace in _PACES]
+        solved = solve_side_by_side(self._mission, solves)
+        return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
+
+    def fly(self, journey: Journey, pace: float = 1.0) -> Solution:
+        """Solve the mission on one mesh from an initial guess along a journey.
+
+        If the solve fails, it is repeated from the solution of an easier mission. In the easier
+        mission the vehicle passes exactly through the waypoints. After one such failure, the easier
+        mission is solved first for all further journeys, too, because the solve would be as
+        difficult along any journey.
+
+        Parameters
+        ----------
+        journey : tuple of Route
+            A route for each leg of the mission, from one waypoint to the next.
+        pace : float, optional
+            Duration of the guess, relative to the nominal duration of the mission.
+        """
         told, mission = self._scenario, self._mission
         guess: Any = guess_along(
             journey,
-            told.nominal_times,
+            [pace * time for time in told.nominal_times],
             is_open=told.mission.is_free,
             # A waypoint is usually passed without a stop.
             is_even=len(journey) > 1 or self._has_corridors,
@@ -345,7 +366,7 @@ class RouteFlights:
         if not is_new or mission.past_waypoints is None:
             return rough
         self._is_plain = True
-        return self.fly(journey)
+        return self.fly(journey, pace)
 
     def _faster(self, flown: Solution) -> Solution:
         """Solve again from a solution flown in less time, until that saves no more energy.
