@@ -30,8 +30,8 @@ class CoarseFlights(RouteFlights):
     """Flights along routes whose solutions are given by tests, as `solution_at` returns them."""
 
     def __init__(self):
-        """Need no mission."""
-        self._mission = None
+        """Need no mission, and know no solution."""
+        self._mission = self._known = None
 
     def fly_again(self, flown, _share):
         return flown
