@@ -65,7 +65,7 @@ def test_shares_are_counted_over_all_flights_that_had_a_plan():
 
     def outcome(number, verdict, held):
         return Outcome(
-            SEEDS[0], number, settings, verdict, "", 9.0, 20.0, 102.0, 100.0, 0, held, FLIGHTS,
+            SEEDS[0], number, settings, verdict, "", 9.0, 20.0, 102.0, 100.0, 90, held, FLIGHTS,
             {"floor": FLIGHTS - held}, 1, 2,
         )  # fmt: skip
 
@@ -75,7 +75,7 @@ def test_shares_are_counted_over_all_flights_that_had_a_plan():
     assert rows["all"][1:4] == [2, 400, "75.00 %"]
     assert rows[HAD][3] == "99.50 %"
     assert rows["all"][5] == "2 of 4"
-    # 101 of 200 contradict a risk of a hundredth, 199 do not.
-    assert (rows["all"][6], rows["all"][7]) == (1, "2.00")
+    # 101 of 200 contradict a risk of a hundredth, 199 do not; the plan states 90 of 200.
+    assert tuple(rows["all"][6:]) == (1, 2, "2.00")
     assert limits.rows == [["floor", 100, "25.000"]]
     assert len(each.rows) == 3
