@@ -245,8 +245,8 @@ def journeys_of(told: Scenario) -> tuple[Journey, ...]:
     """Return the shortest journeys of a mission, inside the edges of its wind field.
 
     A journey is a sequence of routes, one for each leg from one waypoint to the next. Journeys stay
-    inside the edges of the field if the mission may not leave it (see `field_edges`) and has no
-    fence of its own.
+    inside the edges of the field if the mission may not leave it (see `field_edges`), and inside
+    the mission's fence `airspace.keep_in` if it has one.
 
     Parameters
     ----------
@@ -264,11 +264,12 @@ def journeys_of(told: Scenario) -> tuple[Journey, ...]:
         If zones, or zones and the edges of the field, block a leg; the message names the zones.
     """
     airspace, edges = told.airspace, field_edges(told)
-    if not edges or airspace.keep_in is not None:
+    if not edges:
         return find_journeys(airspace, told.mission.positions)
     west, east, south, north = (edges[name][2] for name in ("west", "east", "south", "north"))
     field = KeepIn(corners=((west, south), (east, south), (east, north), (west, north)))
-    fenced = airspace.model_copy(update={"keep_in": field})
+    allowed = field if airspace.keep_in is None else _common(field, airspace.keep_in)
+    fenced = airspace.model_copy(update={"keep_in": allowed})
     try:
         return find_journeys(fenced, told.mission.positions)
     except NoRouteError as error:
@@ -277,6 +278,15 @@ def journeys_of(told: Scenario) -> tuple[Journey, ...]:
         raise NoRouteError(
             f"{error} A flight may not leave wind.field either, unless wind.beyond = 'hold'."
         ) from None
+
+
+def _common(one: KeepIn, other: KeepIn) -> KeepIn:
+    """Return the fence round the area that two overlapping fences have in common."""
+    from shapely import Polygon  # noqa: PLC0415  for fences in wind fields alone
+
+    common = Polygon(one.corners).intersection(Polygon(other.corners))
+    # It is convex, and may have more corners than a scenario may state.
+    return KeepIn.model_construct(corners=tuple(common.exterior.coords[:-1]))
 
 
 def length_of(journey: Journey) -> float:

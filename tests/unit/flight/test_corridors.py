@@ -14,10 +14,13 @@ from pyomo_quad.flight.corridors import Corridors, has_corridors
 from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.routes import NoRouteError, Route, journeys_of
 from pyomo_quad.scenario import load_scenario
+from pyomo_quad.scenario.airspace import KeepIn
 from tests.flights import PLANNER
 from tests.unit.flight.coarse_solution import CoarseFlights, solution_at
 
 X, Y = np.linspace(0, 200, 41), np.linspace(0, 120, 25)
+# Corners of a fence that reaches beyond the field in the south and north, and not in the east.
+AROUND = ((-50.0, -90.0), (190.0, -90.0), (190.0, 210.0), (-50.0, 210.0))
 ENDS = np.array([[20.0, 60.0, 10.0], [180.0, 60.0, 10.0]])
 
 
@@ -127,6 +130,9 @@ def test_a_wall_across_the_field_leaves_no_way_unless_the_field_goes_on_beyond_i
     )
     with pytest.raises(NoRouteError, match=r"wall .* may not leave wind\.field"):
         journeys_of(told)
+    wide = told.airspace.model_copy(update={"keep_in": KeepIn(corners=AROUND)})
+    with pytest.raises(NoRouteError, match=r"wall .* may not leave wind\.field"):
+        journeys_of(told.model_copy(update={"airspace": wide}))
     beyond = told.with_values({"wind.beyond": "hold"})
     (route,) = journeys_of(beyond)[0]
     assert not 0.0 <= route.places[:, 1].min() <= route.places[:, 1].max() <= 120.0
