@@ -555,7 +555,7 @@ def control_polynomial(
 # Highest degree of a mesh read from a file; nodes of a higher degree take long to compute.
 _HIGHEST_DEGREE = 100
 # Bound of the rounding error of a fraction that is computed from a time and the ends of a horizon.
-_ROUNDING = 1e-12
+_ROUNDING = 1e-13
 
 
 class Summarised(ABC):
