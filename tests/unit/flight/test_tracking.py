@@ -15,7 +15,6 @@ from pyomo_quad.scenario.accuracy import FIGURES, USABLE, Accuracy
 from tests.command import PAPER_CALM
 
 PROVEN_J = 709.65279
-ROTOR = "rotors.omega[1]"
 SLOW = ["mission.goal.position=[4.0, 0.0, 1.0]", "mission.duration=6.0"]
 
 
@@ -151,11 +150,10 @@ def test_a_flight_that_breaks_a_limit_slightly_is_solved_again_within_a_stricter
 
 
 def test_a_limit_as_strict_as_would_exclude_the_start_is_not_tried(planner):
-    hover = declared_start(load_scenario(PAPER_CALM), planner.dynamics(load_scenario(PAPER_CALM)))
-    told = load_scenario(PAPER_CALM, [f"limits.rotor_speed_max={1.0001 * hover[ROTOR]}"])
-    relaxed = MissionProblem(planner, load_scenario(PAPER_CALM)).solve(
-        mesh=Mesh.uniform(8, 4), tolerance=None
-    )
+    wide = load_scenario(PAPER_CALM)
+    hover = declared_start(wide, planner.dynamics(wide))["rotors.omega[1]"]
+    told = load_scenario(PAPER_CALM, [f"limits.rotor_speed_max={1.0001 * hover}"])
+    relaxed = MissionProblem(planner, wide).solve(mesh=Mesh.uniform(8, 4), tolerance=None)
     mission = MissionProblem(planner, told)
     own = mission.unsolved(mesh=relaxed.mesh, guess=relaxed.trajectory)
     before = verified(plan_of(told, own, {}, 0.0), own, Accuracy.PROOF)
