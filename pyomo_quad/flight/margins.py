@@ -93,6 +93,10 @@ class RiskTaken:
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
         Reason why the search for margins ended early; empty if the search was completed.
+    gains : mapping
+        Gains of the controller that the search changed, because flights with the default gains
+        break limits too often: field of the table ``baseline.gains`` -> its value. It is empty if
+        the plan is for the gains of the scenario.
     """
 
     asked: float
@@ -106,6 +110,7 @@ class RiskTaken:
     least: float = 0.0
     advice: str = ""
     stopped: str = ""
+    gains: Mapping[str, float] = field(default_factory=dict)
 
     def price(self, energy: float) -> tuple[float, float]:
         """Return the energy that the margins cost, in J and in % of the plan without margins.
@@ -127,6 +132,12 @@ class RiskTaken:
         seen = (
             f"{self.failed} of {self.flown} test flights, which planning did not use, broke a limit"
         )
+        if self.gains:
+            changed = ", ".join(f"{name} = {value:g}" for name, value in self.gains.items())
+            price += (
+                "; flights with the default gains of the controller break limits more often, so "
+                f"these are for baseline.gains = {{ {changed} }}"
+            )
         most = f", most often {self.limiting[0]}" if self.limiting else ""
         if self.is_satisfied:
             return f"Risk at most {self.asked:g}: {seen}; {price}."

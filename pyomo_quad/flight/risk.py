@@ -13,6 +13,7 @@ tested again. See docs/theory/risk.md, eqs. (7) to (9).
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -52,7 +53,7 @@ from pyomo_quad.flight.weather import as_expected, draw
 from pyomo_quad.model import build_model
 from pyomo_quad.scenario import Attitude, Scenario
 from pyomo_quad.scenario.mission import Aim
-from pyomo_quad.scenario.tables import Reference
+from pyomo_quad.scenario.tables import FASTER_GAINS, Gains, Reference
 from pyomo_quad.scenario.wind import Intensity, Turbulence, WindCoupling
 
 # Risk of a plan with free duration whose scenario states no risk.
@@ -90,11 +91,12 @@ _LARGEST_OF_FREE = 0.65
 # Relative increase of a free duration per unit of this reserve: weaker braking alone is not enough
 # where the rotors can lift many times the weight.
 _LONGER = 0.75
-# Factor by which margins grow after test flights.
-_GROWTH = 1.5
+# Factor by which margins grow after test flights, and least growth of a margin on the radius or the
+# speed of a waypoint, as a share of it.
+_GROWTH, _SHARE_OF_PLACE = 1.5, 0.2
 # Increase of the reserve per share of test flights that miss the goal, its least and largest value,
 # and the largest reserve with a free duration.
-_RESERVE_PER_MISS, _LEAST_STEP, _LARGEST_STEP, _LARGEST_FREE = 0.5, 0.1, 0.2, 1.4
+_RESERVE_PER_MISS, _LEAST_STEP, _LARGEST_STEP, _LARGEST_FREE = 0.5, 0.1, 0.4, 2.0
 # Time by which each new plan starts a hover at a waypoint earlier than the last plan, and largest
 # total [s].
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
@@ -168,10 +170,12 @@ def plan_at_risk(
             return search.unfinished(_OWN_MODEL) if is_stated else paper
         if is_stopped():
             return search.unfinished(_STOPPED)
-        try:
-            return search.best()
-        except SolveError as error:
-            return search.unfinished(str(error).removesuffix("."))
+        if search.has_default_gains and search.is_beyond_the_controller():
+            return search.with_faster_gains().completed()
+        plan = search.completed()
+        if not search.has_default_gains or _is_kept(plan) or is_stopped():
+            return plan
+        return min(plan, search.with_faster_gains().completed(), key=_share_failed)
 
 
 def _again(
@@ -346,16 +350,52 @@ class _Search:
             self._in_turbulence = self._in_turbulence.model_copy(update={"wind": wind})
         self._seed = _SEED - 1
 
+    @property
+    def has_default_gains(self) -> bool:
+        """Whether the controller has the default gains, which the search may then change."""
+        return self._scenario.baseline.gains == Gains()
+
+    def with_faster_gains(self) -> "_Search":
+        """Return a search that starts from the same plan, for a controller with faster gains."""
+        baseline = self._scenario.baseline.model_copy(update={"gains": FASTER_GAINS})
+        scenario = self._scenario.model_copy(update={"baseline": baseline})
+        paper = replace(self._paper, scenario=scenario)
+        return _Search(paper, self._planner, self._progress, self._is_stopped)
+
+    def is_beyond_the_controller(self) -> bool:
+        """Return whether even hovering vehicles break limits far more often than the risk allows.
+
+        If flights along the plan without margins reach the goal, hovering is not simulated, and the
+        result is False.
+        """
+        if not self._is_followed(self._begun):
+            self._hovering = self._missed_by_hover()
+        return self._hovering > _TOO_MANY * self._risk
+
+    def completed(self) -> Plan:
+        """Return the plan of `best`, or that of `unfinished` if a solve fails."""
+        try:
+            return self.best()
+        except SolveError as error:
+            return self.unfinished(str(error).removesuffix("."))
+
+    @cached_property
+    def _begun(self) -> "_Tried":
+        return self._tried(self._paper, {})
+
     def best(self) -> Plan:
         """Return a plan with margins that keeps the allowed risk, or else the plan of least risk.
 
         The risk is the probability that a flight in turbulence breaks any limit. Margins are the
         amounts by which limits are tightened for the plan.
         """
-        tried = self._settled(self._followed(self._tried(self._paper, {})))
+        tried = self._settled(self._followed(self._begun))
         found: list[_Tested] = []
-        # If flights miss the goal with any reserve, further margins do not help.
-        is_hopeless = self._hovering > _TOO_MANY * self._risk or not self._is_followed(tried)
+        # If flights miss the goal with any reserve, only a longer duration helps.
+        is_free = self._scenario.mission.is_free
+        is_hopeless = self._hovering > _TOO_MANY * self._risk or not (
+            is_free or self._is_followed(tried)
+        )
         last = 0 if is_hopeless else _CALIBRATIONS
         for k in range(last + 1):
             tested = self._examined(tried)
@@ -481,8 +521,16 @@ class _Search:
             least=self._hovering,
             advice="" if is_satisfied else self._advice(tried, limiting),
             stopped=_STOPPED if self._is_stopped() and not is_satisfied else "",
+            gains=self._changed_gains(),
         )
         return replace(tried.plan, risk=taken)
+
+    def _changed_gains(self) -> dict[str, float]:
+        gains, usual = self._scenario.baseline.gains, Gains()
+        if gains != FASTER_GAINS:
+            return {}
+        names = type(gains).model_fields
+        return {n: getattr(gains, n) for n in names if getattr(gains, n) != getattr(usual, n)}
 
     def _verified(self, tried: _Tried) -> _Tried:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
@@ -554,7 +602,7 @@ class _Search:
         """
         if self._is_followed(tried):
             return tried
-        self._hovering = self._missed_by_hover()
+        self._hovering = self._hovering or self._missed_by_hover()
         found, failed, held = [(tried, 0.0)], -1, len(_RESERVES)
         chosen, step = _FIRST_RESERVE, 1
         while held - failed > 1 and not self._is_stopped():
@@ -653,14 +701,15 @@ class _Search:
         these margins has another covariance, and so requires other margins. The solves are
         therefore a fixed-point iteration, which starts from the plan `tried`. The result is the
         last plan that was solved. The iteration ends early after a failed solve, after `_PLANS`
-        solves, or if the user stops the search.
+        solves, or if the user stops the search. It also ends before a plan that flights cannot
+        follow, if they can follow the plan before it: test flights then decide on its margins.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
             if self._is_stopped() or self._agree(tried.margins, wanted):
                 break
             other = self._planned(tried, wanted)
-            if other is None:
+            if other is None or (self._is_followed(tried) and not self._is_followed(other)):
                 break
             tried = other
         return tried
@@ -776,28 +825,32 @@ class _Search:
         A flight misses the goal if it has too little thrust or time to correct the effect of a
         gust. If flights miss the goal too often, the reserve of thrust, rotor speed and tilt grows
         too. It grows in proportion to the fraction of flights that miss the goal, within bounds.
+        The same holds for flights that break a limit whose margin cannot grow any more.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
-        fields: set[str] = set()
+        fields: dict[str, int] = {}
         missed = 0
         for word, count in counts.items():
             if count > allowed:
                 own = {a.field for a in tried.near if limit_words(a.name) == word}
                 own |= {miss.field for miss in tried.missed if miss.words == word and miss.field}
-                fields |= own
+                fields |= {name: max(fields.get(name, 0), count) for name in own}
                 missed = max(missed, 0 if own else count)
         margins = dict(tried.margins)
         if HOLD in fields:
             margins[HOLD] = min(margins.get(HOLD, 0.0) + _EARLIER_S, _EARLIEST_S)
-            fields.remove(HOLD)
-        for name in fields:
+        for name in fields.keys() - {HOLD}:
             spreads = [float(a.deviation.max()) for a in tried.near if a.field == name]
             held = margins.get(name, 0.0)
             grown = max(_GROWTH * held, held + max(spreads, default=0.0) / 2)
-            is_at_places = name in {miss.field for miss in tried.missed}
-            most = grown if is_at_places else greatest_margin(self._scenario, name)
-            margins[name] = min(grown, most)
+            if name in {miss.field for miss in tried.missed}:
+                margins[name] = max(grown, held + self._step_at_waypoints(name))
+            else:
+                margins[name] = min(grown, greatest_margin(self._scenario, name))
+        # A limit whose margin cannot grow is broken less often by a plan that is easier to follow.
+        exhausted = [n for n in fields if margins[n] <= tried.margins.get(n, 0.0)]
+        missed = max([missed, *(fields[name] for name in exhausted)])
         if missed:
             by_share = _RESERVE_PER_MISS * missed / tested.flown
             step = min(max(by_share, _LEAST_STEP), _LARGEST_STEP)
@@ -807,6 +860,16 @@ class _Search:
             for name, margin in self._least.items():
                 margins[name] = max(margins.get(name, 0.0), margin)
         return margins
+
+    def _step_at_waypoints(self, name: str) -> float:
+        """Return the least increase of the margin on a waypoint's radius or speed [m or m/s].
+
+        It is a part of the smallest radius or speed limit. The covariance may be no measure of it:
+        flights whose thrust is at its limit are farther from the plan than it predicts. `name` is
+        the scenario field of the margin.
+        """
+        waypoints, key = self._scenario.mission.waypoints, name.partition(".")[2]
+        return _SHARE_OF_PLACE * min(size for w in waypoints if (size := getattr(w, key)))
 
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return advice to the user on how to change the mission so that flights keep its limits.
@@ -853,6 +916,16 @@ class _Search:
 
 # Bisection steps of the strength of turbulence: to a thousandth.
 _HALVINGS = 10
+
+
+def _is_kept(plan: Plan) -> bool:
+    return plan.risk is not None and plan.risk.is_satisfied
+
+
+def _share_failed(plan: Plan) -> tuple[float, float]:
+    risk = plan.risk
+    share = risk.failed / risk.flown if risk is not None and risk.flown else 1.0
+    return share, plan.energy
 
 
 def _cost(tried: _Tried) -> float:
