@@ -10,7 +10,7 @@ import pytest
 
 from pyomo_quad.cli import main, solving
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.flight import Plan, PlanStatus, risk, search
+from pyomo_quad.flight import Plan, PlanStatus, margin_search, search
 from tests.command import PAPER_CALM
 
 STRANGER = Path(__file__).parent / "stranger" / "stranger.toml"
@@ -63,14 +63,14 @@ def interrupted(monkeypatch, is_time):
 
 @pytest.mark.slow
 def test_ctrl_c_while_a_risk_is_searched_for_leaves_the_plan_found_so_far(tmp_path, monkeypatch):
-    planned = risk._Search._planned
+    planned = margin_search.MarginSearch._planned
 
     def stopped(*asked):
         signal.raise_signal(signal.SIGINT)
         return planned(*asked)
 
-    monkeypatch.setattr(risk._Search, "_planned", stopped)
-    monkeypatch.setattr(risk, "_FLIGHTS", 20)
+    monkeypatch.setattr(margin_search.MarginSearch, "_planned", stopped)
+    monkeypatch.setattr(margin_search, "_FLIGHTS", 20)
     out = tmp_path / "report"
     hop = ("--set=mission.goal.position=[2.0, 0.0, 1.0]", "--set=mission.duration=4.0")
     asked = ["solve", PAPER_CALM, "--out", str(out), *NO_FIGURES, *hop, "--set=mission.risk=0.01"]

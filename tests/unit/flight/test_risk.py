@@ -14,7 +14,7 @@ from scipy.special import ndtri
 
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.solving import complain_about, exit_code_of
-from pyomo_quad.flight import Plan, PlanStatus, risk
+from pyomo_quad.flight import Plan, PlanStatus, margin_search
 from pyomo_quad.flight.breaching import LimitDistance, Miss, _crossing
 from pyomo_quad.flight.deadline import TimeIsUpError
 from pyomo_quad.flight.limit_words import limit_words
@@ -31,6 +31,7 @@ from pyomo_quad.flight.margins import (
 )
 from pyomo_quad.flight.risk import plan_at_risk, risk_asked
 from pyomo_quad.model import build_model
+from pyomo_quad.scenario.tables import FASTER_GAINS
 from tests.declared_model import scenario
 from tests.flights import PLANNER
 
@@ -52,6 +53,10 @@ def mission(**more):
         airspace={"keep_out": [POST]},
         solver={"tolerance": 1e-4},
     )
+
+
+def search_from(paper):
+    return margin_search.MarginSearch(paper, PLANNER, risk_asked(paper.scenario))
 
 
 def smooth_process(paths, steps, h=0.02, rate=3.0):
@@ -228,7 +233,7 @@ def test_a_usable_plan_without_time_for_margins_says_so(monkeypatch):
     def give_up(*_):
         raise TimeIsUpError("given up after solver.time_limit = 9 s; allow more time.")
 
-    monkeypatch.setattr(risk, "spread_along", give_up)
+    monkeypatch.setattr(margin_search, "spread_along", give_up)
     plan = plan_at_risk(mission(risk=0.01), planner_of())
     assert plan.status is PlanStatus.USABLE
     assert not plan.risk.is_satisfied
@@ -250,7 +255,7 @@ def test_the_weaker_turbulence_advised_is_that_in_which_the_goal_is_met(coupling
     off = np.abs(np.random.default_rng(3).standard_normal((1, 200_000)))
     within = 0.1
     missed = (Miss(words="speed at the end", field="", off=off, within=within),)
-    search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
+    search = search_from(SimpleNamespace(scenario=told))
     said = search._weaker(SimpleNamespace(missed=missed))
     # Three tenths of the risk are left to the goal.
     shrunk = within / ndtri(1 - 0.03 / 2)
@@ -264,7 +269,7 @@ def test_the_weaker_turbulence_advised_is_that_in_which_the_goal_is_met(coupling
 def test_a_free_duration_takes_the_reserve_that_its_flights_need_to_arrive():
     told = mission(duration="free", risk=0.05).with_values({"airspace.keep_out": ()})
     paper = PLANNER.solve(told)
-    search = risk._Search(paper, PLANNER)
+    search = search_from(paper)
     assert sum(1 for words in search._flown(search._tried(paper, {}), 7) if words) > 30
     plan = plan_at_risk(told, PLANNER)
     assert plan.is_verified
@@ -282,7 +287,7 @@ def plans():
 
 @pytest.fixture(autouse=True)
 def _few_flights(monkeypatch):
-    monkeypatch.setattr(risk, "_FLIGHTS", 60)
+    monkeypatch.setattr(margin_search, "_FLIGHTS", 60)
 
 
 @pytest.mark.slow
@@ -315,9 +320,9 @@ def test_a_plan_with_a_risk_leaves_the_margin_that_its_flights_need(tmp_path):
 )
 def test_a_test_ends_with_the_first_flights_where_they_fail_it(monkeypatch, failing, flown, whole):
     """Two of 200 flights may break a limit at a risk of 0.01."""
-    monkeypatch.setattr(risk, "_FLIGHTS", 200)
+    monkeypatch.setattr(margin_search, "_FLIGHTS", 200)
     broken = [("floor",) if k in failing else () for k in range(200)]
-    search = risk._Search(SimpleNamespace(scenario=mission(risk=0.01)), PLANNER)
+    search = search_from(SimpleNamespace(scenario=mission(risk=0.01)))
     monkeypatch.setattr(search, "_flown", lambda _tried, _seed, chosen: broken[chosen])
     found = search._tested(None, 7)
     assert (found.failed, found.flown) == (len(failing), flown)
@@ -326,12 +331,12 @@ def test_a_test_ends_with_the_first_flights_where_they_fail_it(monkeypatch, fail
 
 
 def judged(tried, counts):
-    return risk._Tested(tried=tried, seed=7, counts=Counter(counts), failed=9, flown=200)
+    return margin_search._Tested(tried=tried, seed=7, counts=Counter(counts), failed=9, flown=200)
 
 
 def test_margins_grow_where_test_flights_break_limits_and_the_reserve_where_they_miss_the_goal():
     told = mission.__wrapped__(duration="free", duration_min=4.0, risk=0.01)
-    search = risk._Search(SimpleNamespace(scenario=told, duration_s=10.0), PLANNER)
+    search = search_from(SimpleNamespace(scenario=told, duration_s=10.0))
     held = dict.fromkeys(AUTHORITY, 0.05) | {DURATION: 6.0}
     at_roll = SimpleNamespace(
         name="limits.roll", field="limits.roll_max", deviation=np.array([0.01, 0.06])
@@ -350,6 +355,96 @@ def test_margins_grow_where_test_flights_break_limits_and_the_reserve_where_they
     assert again[DURATION] == pytest.approx(1.15 * 10.0 - 4.0)
 
 
+def test_the_margin_of_a_waypoint_grows_by_a_part_of_its_radius_and_a_used_up_margin_as_a_reserve():
+    ring = {"position": [3.0, 2.0, 10.0], "radius": 0.5}
+    told = mission.__wrapped__(duration="free", duration_min=4.0, risk=0.01, waypoints=[ring])
+    search = search_from(SimpleNamespace(scenario=told, duration_s=10.0))
+    past = SimpleNamespace(field=RADIUS, words="distance from waypoint 1")
+    tried = SimpleNamespace(margins={}, near=[], missed=[past])
+    assert search._grown(judged(tried, {past.words: 30})) == pytest.approx({RADIUS: 0.1})
+    # A vehicle that starts 2 cm above the floor has no room for a margin.
+    low = told.with_values({"airspace.floor": 9.98})
+    search = search_from(SimpleNamespace(scenario=low, duration_s=10.0))
+    most = greatest_margin(low, "airspace.floor")
+    at_floor = SimpleNamespace(
+        name="airspace.floor_limit", field="airspace.floor", deviation=np.array([0.3])
+    )
+    tried = SimpleNamespace(margins={"airspace.floor": most}, near=[at_floor], missed=[])
+    grown = search._grown(judged(tried, {limit_words(at_floor.name): 30}))
+    assert grown["airspace.floor"] == most
+    assert grown["limits.thrust_max"] > 0.0
+
+
+def test_a_plan_that_flights_follow_is_not_replaced_by_one_that_they_do_not(monkeypatch):
+    search = search_from(SimpleNamespace(scenario=mission(risk=0.01)))
+
+    def planned(_, margins):
+        return SimpleNamespace(margins=margins)
+
+    def wanted(tried):
+        return {RADIUS: tried.margins[RADIUS] + 1.0}
+
+    monkeypatch.setattr(search, "_margins", wanted)
+    monkeypatch.setattr(search, "_planned", planned)
+    monkeypatch.setattr(search, "_is_followed", lambda tried: tried.margins[RADIUS] < 2.5)
+    assert search._settled(planned(None, {RADIUS: 1.0})).margins == {RADIUS: 2.0}
+
+
+@pytest.mark.parametrize("is_stated", [False, True])
+def test_the_gains_change_only_where_flights_need_it_and_the_user_states_none(
+    is_stated, monkeypatch
+):
+    """Flights with the default gains fail ten times, with the faster ones once."""
+    searched = []
+
+    def best(search):
+        gains = search._scenario.baseline.gains
+        searched.append(gains)
+        failed = 1 if gains == FASTER_GAINS else 10
+        return replace(
+            search._paper, risk=taken(failed=failed, is_satisfied=failed < 2, limiting=())
+        )
+
+    monkeypatch.setattr(margin_search.MarginSearch, "best", best)
+    told = mission(risk=0.01)
+    if is_stated:
+        told = told.with_values({"baseline.gains.position": 1.4})
+    planner = planner_of()
+    planner.solve = lambda *_, **__: replace(paper_plan(), scenario=told)
+    monkeypatch.setattr(
+        margin_search.MarginSearch, "is_beyond_the_controller", lambda search: False
+    )
+    plan = plan_at_risk(told, planner)
+    assert searched == [told.baseline.gains, *([] if is_stated else [FASTER_GAINS])]
+    assert plan.risk.is_satisfied is not is_stated
+    assert plan.scenario.baseline.gains == searched[-1]
+    assert ("baseline.gains = { position = 2, " in plan.risk_words) is not is_stated
+    # Vehicles that cannot even hover with the default gains: no margin is searched for with them.
+    searched.clear()
+    monkeypatch.setattr(margin_search.MarginSearch, "is_beyond_the_controller", lambda search: True)
+    plan_at_risk(told, planner)
+    assert searched == [told.baseline.gains if is_stated else FASTER_GAINS]
+
+
+@pytest.mark.slow
+def test_faster_gains_hold_vehicles_in_gusts_that_the_default_gains_do_not():
+    """A Phantom 2 that hovers in moderate turbulence, with either gains."""
+    told = mission(risk=0.01).with_values(
+        {
+            "vehicle.drag_linear": 0.43,
+            "wind.use": "constant",
+            "wind.speed": 4.5,
+            "wind.turbulence.intensity": "moderate",
+        }
+    )
+    missed = [
+        search_from(SimpleNamespace(scenario=told.with_values(gains)))._missed_by_hover()
+        for gains in ({}, {"baseline.gains": FASTER_GAINS})
+    ]
+    assert missed[0] > 0.02
+    assert missed[1] < missed[0] / 3
+
+
 def distance(name, field, deviation=0.02):
     n = 100
     return LimitDistance(
@@ -365,11 +460,11 @@ def distance(name, field, deviation=0.02):
 def test_tilt_gets_the_margin_of_its_covariance_beside_a_reserve_and_thrust_the_reserve():
     """Feedback cannot exceed the limits of thrust and rotor speed: it commands within them."""
     told = mission(risk=0.01)
-    search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
+    search = search_from(SimpleNamespace(scenario=told))
     search._least = {"limits.roll_max": 0.001, "limits.thrust_max": 0.02}
     roll = distance("limits.roll_limit", "limits.roll_max")
     thrust = distance("limits.thrust_limit", "limits.thrust_max")
-    tried = risk._Tried(
+    tried = margin_search._Tried(
         plan=None, margins=search._least, spread=None, near=(roll, thrust), missed=()
     )
     margins = search._margins(tried)
@@ -379,10 +474,10 @@ def test_tilt_gets_the_margin_of_its_covariance_beside_a_reserve_and_thrust_the_
     assert tried.predicted == pytest.approx(roll.present_probability)
 
 
-@pytest.mark.parametrize("needed", [*risk._RESERVES, 0.9])
+@pytest.mark.parametrize("needed", [*margin_search._RESERVES, 0.9])
 def test_the_reserve_found_is_the_least_with_which_flights_follow_the_plan(needed, monkeypatch):
     told = mission(risk=0.01)
-    search = risk._Search(SimpleNamespace(scenario=told), PLANNER)
+    search = search_from(SimpleNamespace(scenario=told))
 
     def tried_with(share):
         return SimpleNamespace(
@@ -396,7 +491,7 @@ def test_the_reserve_found_is_the_least_with_which_flights_follow_the_plan(neede
     monkeypatch.setattr(search, "_reserve", lambda share: share)
     monkeypatch.setattr(search, "_planned", lambda _, share: tried_with(share))
     best = search._followed(tried_with(0.0))
-    assert best.margins["share"] == min(needed, risk._RESERVES[-1])
+    assert best.margins["share"] == min(needed, margin_search._RESERVES[-1])
     assert search._reserved == best.margins["share"]
 
 
@@ -408,8 +503,8 @@ def test_a_plan_is_verified_only_if_its_flights_meet_the_goal(
     monkeypatch, failing, word, is_verified
 ):
     """A coarse mesh lets a path cut the corner of a zone, but hardly changes how flights end."""
-    monkeypatch.setattr(risk, "_FLIGHTS", 200)
-    search = risk._Search(SimpleNamespace(scenario=mission(risk=0.01)), PLANNER)
+    monkeypatch.setattr(margin_search, "_FLIGHTS", 200)
+    search = search_from(SimpleNamespace(scenario=mission(risk=0.01)))
     broken = [(word,)] * failing + [()] * (200 - failing)
     monkeypatch.setattr(search, "_flown", lambda _tried, _seed, chosen: broken[chosen])
     monkeypatch.setattr(search, "_verified", lambda _: SimpleNamespace(is_refined=True))
@@ -421,14 +516,16 @@ def test_a_plan_is_verified_only_if_its_flights_meet_the_goal(
 def test_costly_margins_shrink_if_the_plan_with_smaller_ones_breaks_few_limits(
     monkeypatch, failed, energy
 ):
-    monkeypatch.setattr(risk, "_FLIGHTS", 200)
+    monkeypatch.setattr(margin_search, "_FLIGHTS", 200)
     paper = SimpleNamespace(scenario=mission(risk=0.01), energy=100.0)
-    search = risk._Search(paper, PLANNER)
+    search = search_from(paper)
 
     def tested_with(margin, broken):
         plan = SimpleNamespace(energy=100.0 + 10.0 * margin, is_flyable=True)
         tried = SimpleNamespace(margins={"airspace.clearance": margin}, plan=plan)
-        return risk._Tested(tried=tried, seed=1, counts=Counter(), failed=broken, flown=200)
+        return margin_search._Tested(
+            tried=tried, seed=1, counts=Counter(), failed=broken, flown=200
+        )
 
     monkeypatch.setattr(search, "_planned", lambda _, margins: margins["airspace.clearance"])
     monkeypatch.setattr(search, "_examined", lambda margin: tested_with(margin, failed))
@@ -445,7 +542,7 @@ def test_flights_of_a_plan_miss_the_goal_no_more_seldom_than_vehicles_that_hover
     for coupling in ("drag", "acceleration"):
         told = mission(risk=0.01).with_values({"wind.coupling": coupling, "airspace.keep_out": ()})
         paper = PLANNER.solve(told)
-        search = risk._Search(paper, PLANNER)
+        search = search_from(paper)
         flown = search._flown(search._tried(paper, {}), 7)
         missed = sum(any(word.endswith("at the end") for word in words) for words in flown)
         shares[coupling] = search._missed_by_hover(), missed / len(flown)
@@ -456,7 +553,7 @@ def test_flights_of_a_plan_miss_the_goal_no_more_seldom_than_vehicles_that_hover
 @pytest.mark.slow
 def test_flights_of_the_paper_plan_break_the_limit_that_it_flies_at():
     paper, held = plans()
-    search = risk._Search(paper, PLANNER)
+    search = search_from(paper)
     broken = [search._flown(search._tried(plan, {}), 77) for plan in (paper, held)]
     shares = [sum(1 for words in flights if words) / 60 for flights in broken]
     assert shares[0] > 0.3
