@@ -224,7 +224,11 @@ class Baseline(Part):
         sound=positive(1e-3, 1e6, _MILLISECONDS),
     )
     adaptation: Flag = quantity("", "whether the controller adapts", True)
-    gains: Gains = quantity("", "controller gains", Gains())
+    gains: Gains = quantity(
+        "",
+        "controller gains; a plan for a stated risk may replace default gains by faster ones",
+        Gains(),
+    )
     mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
     def cruise_settings(self, speed: float) -> CruiseSettings:

@@ -38,6 +38,7 @@ ABOUT = (
     "at 4 to 7 m/s on average, or free; both vehicles of the library, by turns; a steady wind up "
     "to 6 m/s with light or moderate turbulence by turns of two. The forecast errs by 1 m/s and 15 "
     f"degrees, the mass by 3 %, as standard deviations. Each is planned with a risk of {RISK:g} "
+    "(for faster gains of the controller where test flights with the default gains fail) "
     f"and then flown {FLIGHTS} times under the adaptive controller in winds that the planner never "
     f"saw, and {REPLANNED} times with re-planning in flight (`mpc/estimated`), in other winds "
     "drawn alike. A flight holds if it arrives within 5 cm, slower than 0.1 m/s, at the time of "
