@@ -648,7 +648,7 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return, in words, where the value of a field of the vehicle before the fit comes from.
+    """Return in words the source of the value that a field of the vehicle had before the fit.
 
     `field` is the field's name. For a vehicle of the library, the words are those of the vehicle's
     file.

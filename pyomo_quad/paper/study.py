@@ -135,8 +135,8 @@ class PaperStudy:
         has two columns: an upper bound on the absolute rotor acceleration [rad/s²], and the least
         energy of any flight within the bound [J].
     critical_acceleration, critical_speed : float
-        Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
-        speed at which f_r is then zero [rad/s].
+        Smallest deceleration of a rotor with which f_r reaches zero at some rotor speed, as a
+        positive number [rad/s²], and this rotor speed [rad/s].
     efficiency_map : EfficiencyMap
         f_r over rotor speed and torque.
     trials : tuple of TrialOutcome

@@ -95,10 +95,11 @@ class Leg:
 
 
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
-    """Return the legs and hovers of a mission, and the limits on the durations of groups of them.
+    """Return the legs of a mission, and the limits on the durations of groups of legs.
 
-    Waypoints with a given passing time divide the legs into groups. The sum of the durations in a
-    group is fixed or limited. Each hover at a waypoint is a group with one leg.
+    A leg is a flight between two places of the mission, or a hover at a waypoint. Waypoints with a
+    given passing time divide the legs into groups. The sum of the durations in a group is fixed or
+    limited. Each hover is a group of its own.
 
     Returns
     -------

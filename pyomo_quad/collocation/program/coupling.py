@@ -83,9 +83,10 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Constraint by which the static variable equals the value of the horizon.
+        """Constraint that makes the static variable equal to the value that it stands for.
 
-        The constraint belongs to the horizon's nonlinear program.
+        The value is that of a variable of the horizon at one time. The constraint belongs to the
+        nonlinear program of the horizon.
         """
         zero, difference = casadi.SX(0), casadi.SX(self.value) - self.slot.symbol
         return PointCondition(name=self.slot.name, expression=difference, lower=zero, upper=zero)

@@ -270,8 +270,8 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
         Partial sums of the value and of each derivative of the spline: the sums over the axes that
         earlier calls have summed. These are the last axes of the spline, or none. A key identifies
         a derivative: it is a tuple with the order of the derivative along each summed axis. If no
-        axis is summed, the only key is (). The item of a key is a CasADi column with one partial
-        sum for each combination of coefficients along the axes not yet summed.
+        axis is summed, the only key is (). The item of a key is a CasADi column of partial
+        sums: one for each combination of indices along the axes not yet summed.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
         its value, first and second derivative.

@@ -300,10 +300,11 @@ class Schedule:
         """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
         The parts are lower bound, body and upper bound of a constraint, or a single expression.
-        Results of the rule have the same form if they differ in their numbers only. The returned
-        expressions contain all forms, and two kinds of symbols. Symbols of one kind select the form
-        that applies. Symbols of the other kind stand for the numbers that vary. All these symbols
-        are in the attribute `slots`; their values are data over time.
+        The rule may return a different result at each time. Results that differ in their numbers
+        only have the same form. Each returned expression combines all forms, so that it holds at
+        all times: some of its symbols select the form that applies at a time, and the others stand
+        for the numbers that vary. All these symbols are in the attribute `slots`; their values are
+        data over time.
 
         Parameters
         ----------

@@ -166,7 +166,7 @@ for _operation in (
 
 
 class Instant(float):
-    """Number that a rule receives as its time, and that equals the template time as an index.
+    """Time that a rule receives; used as an index, it selects variables at the template time.
 
     The template time is an interior time that was added to the continuous set. A rule that branches
     on time is called with several instants. Each instant is another number, but as an index it is
@@ -177,7 +177,10 @@ class Instant(float):
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return the number `time`, which as an index equals the template time `template`."""
+        """Return a number with the value `time` that selects variables at the time `template`.
+
+        In arithmetic the number is `time`. As the index of a variable it equals `template`.
+        """
         made = super().__new__(cls, time)
         made.template = template
         return made
