@@ -293,11 +293,11 @@ class MarginSearch:
         result is False.
         """
         if not self._is_followed(self._begun):
-            self._hovering = self._missed_by_hover()
+            self._hovering = self._missed_by_hover
         return self._hovering >= self._risk
 
     @cached_property
-    def _begun(self) -> "_Tried":
+    def _begun(self) -> _Tried:
         return self._tried(self._paper, {})
 
     def best(self) -> Plan:
@@ -511,7 +511,7 @@ class MarginSearch:
         """
         if self._is_followed(tried):
             return tried
-        self._hovering = self._hovering or self._missed_by_hover()
+        self._hovering = self._missed_by_hover
         found, failed, held = [(tried, 0.0)], -1, len(_RESERVES)
         chosen, step = _FIRST_RESERVE, 1
         while held - failed > 1 and not self._is_stopped():
@@ -538,8 +538,9 @@ class MarginSearch:
         allowed = max(_SHARE_OF_GOAL * self._risk, _LIKE_A_HOVER * self._hovering)
         return tried.missing_places <= allowed and tried.astray <= _ASTRAY_M
 
+    @cached_property
     def _missed_by_hover(self) -> float:
-        """Return the fraction of hovering vehicles that gusts carry away from the goal.
+        """Fraction of hovering vehicles that gusts carry away from the goal.
 
         The simulated vehicles hover at the goal in turbulence for `_HOVER_S` seconds. The mission
         limits the distance from the goal and the speed at the end of a flight. The result is the

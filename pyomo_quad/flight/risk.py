@@ -70,13 +70,12 @@ def plan_at_risk(
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
-        if risk_asked(scenario) >= 1.0 or not paper.is_flyable:
+        risk = risk_asked(scenario)
+        if risk >= 1.0 or not paper.is_flyable:
             return paper
 
         def search_from(start: Plan) -> MarginSearch:
-            return MarginSearch(
-                start, planner, risk_asked(paper.scenario), progress=progress, is_stopped=is_stopped
-            )
+            return MarginSearch(start, planner, risk, progress=progress, is_stopped=is_stopped)
 
         search, found = search_from(paper), list[Plan]()
         if planner.builder is not build_model:

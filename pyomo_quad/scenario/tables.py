@@ -106,9 +106,10 @@ class Gains(Part):
 
 
 #: Gains of a faster controller than the default, for turbulence in which hovering with the default
-#: gains does not keep within the limits on the arrival. Disturbances of a vehicle that keeps away
-#: from its limits decay 1.5 times as fast, and the correcting acceleration is smaller, so that the
-#: command filter can follow it. Found by simulated flights of a Phantom 2 in moderate turbulence.
+#: gains does not keep within the limits on the arrival. Errors of a vehicle that keeps away from
+#: its limits decay a third to a half faster, and the correcting acceleration is smaller, so that
+#: the command filter can follow it. Found by simulated flights of a Phantom 2 in moderate
+#: turbulence.
 FASTER_GAINS = Gains(
     position=2.0,
     velocity=4.5,

@@ -438,7 +438,7 @@ def test_faster_gains_hold_vehicles_in_gusts_that_the_default_gains_do_not():
         }
     )
     missed = [
-        search_from(SimpleNamespace(scenario=told.with_values(gains)))._missed_by_hover()
+        search_from(SimpleNamespace(scenario=told.with_values(gains)))._missed_by_hover
         for gains in ({}, {"baseline.gains": FASTER_GAINS})
     ]
     assert missed[0] > 0.02
@@ -487,7 +487,7 @@ def test_the_reserve_found_is_the_least_with_which_flights_follow_the_plan(neede
             astray=0.0,
         )
 
-    monkeypatch.setattr(search, "_missed_by_hover", lambda: 0.0)
+    monkeypatch.setattr(search, "_missed_by_hover", 0.0)
     monkeypatch.setattr(search, "_reserve", lambda share: share)
     monkeypatch.setattr(search, "_planned", lambda _, share: tried_with(share))
     best = search._followed(tried_with(0.0))
@@ -545,7 +545,7 @@ def test_flights_of_a_plan_miss_the_goal_no_more_seldom_than_vehicles_that_hover
         search = search_from(paper)
         flown = search._flown(search._tried(paper, {}), 7)
         missed = sum(any(word.endswith("at the end") for word in words) for words in flown)
-        shares[coupling] = search._missed_by_hover(), missed / len(flown)
+        shares[coupling] = search._missed_by_hover, missed / len(flown)
     assert shares["drag"][0] == 0.0
     assert 0.2 < shares["acceleration"][0] <= shares["acceleration"][1] + 0.1
 
