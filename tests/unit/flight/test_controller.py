@@ -24,6 +24,7 @@ from pyomo_quad.flight.controller import (
 )
 from pyomo_quad.flight.ensemble import Draws, EnsembleSimulation
 from pyomo_quad.scenario import Reference
+from pyomo_quad.scenario.tables import FASTER_GAINS, Gains
 from tests import flights
 
 KB, KAPPA, ARM = 3.8305e-6, 2.2518e-8, 0.175
@@ -246,3 +247,26 @@ def test_a_flight_follows_what_tilts_further_than_half_a_radian_and_keeps_both_a
     assert follows.peak_tilt_rad > 0.55
     assert not {"roll angle", "pitch angle"} & set(follows.broken)
     assert follows.largest_deviation_m < 0.5 * lags.largest_deviation_m
+
+
+HOVER = (
+    "mission.goal.position=[0.0, 0.0, 50.0]",
+    "mission.start.position=[0.0, 0.0, 50.0]",
+    "mission.duration=6.0",
+    "vehicle.attitude='euler'",
+)
+
+
+@pytest.mark.parametrize("gains", [Gains(), FASTER_GAINS], ids=["default", "faster"])
+def test_a_vehicle_tilted_far_from_its_command_rights_itself_and_hardly_falls(gains):
+    """Rotors that give 1.3 times the weight; the command of all flights begins level."""
+    mission = flights.scenario("paper_calm", *HOVER).with_values({"baseline.gains": gains})
+    vehicle = flights.vehicle("paper_calm", *HOVER)
+    simulation = EnsembleSimulation(mission, vehicle, reference_path(mission, Reference.QUINTIC))
+    tilts = np.array([0.0, 0.3, 0.6])
+    flown = simulation.fly(Draws(count=3, start={"rigid_body.theta": tilts}))
+    assert flown.tracks["tilt_rad"][0] == pytest.approx(tilts, abs=1e-6)
+    assert flown.tracks["tilt_rad"].max(axis=0) == pytest.approx(tilts, abs=0.05)
+    last_second = flown.t > flown.t[-1] - 1.0
+    assert flown.tracks["tilt_rad"][last_second].max() < 0.1
+    assert flown.tracks["z_m"].min() > 50.0 - 2.5
