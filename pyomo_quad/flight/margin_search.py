@@ -36,6 +36,7 @@ from pyomo_quad.flight.margins import (
     AUTHORITY,
     DURATION,
     HOLD,
+    KEPT_BY_CONTROLLER,
     RiskTaken,
     greatest_margin,
     passing_times,
@@ -96,9 +97,6 @@ _RESERVE_PER_MISS, _LEAST_STEP, _LARGEST_STEP, _LARGEST_FREE = 0.5, 0.1, 0.4, 2.
 # Time by which each new plan starts a hover at a waypoint earlier than the last plan, and largest
 # total [s].
 _EARLIER_S, _EARLIEST_S = 0.3, 1.5
-# Fields of limits that no flight under feedback breaks, because the controller keeps its commands
-# within them. Their margins serve to follow the plan, not to keep the limit.
-_KEPT_BY_CONTROLLER = {"limits.rotor_speed_max", "limits.thrust_max"}
 # Duration of a simulated hover at the goal [s], by the end of which the controller has adapted to
 # the wind.
 _HOVER_S = 8.0
@@ -189,7 +187,7 @@ class _Tried:
         by_limits = sum(
             limit.present_probability
             for limit in self.near
-            if limit.field not in _KEPT_BY_CONTROLLER
+            if limit.field not in KEPT_BY_CONTROLLER
         )
         return float(min(by_limits + sum(miss.probability for miss in self.missed), 1.0))
 
@@ -640,12 +638,12 @@ class MarginSearch:
         least = 0.01 * self._risk
         pressed = [a for a, probability in alone.items() if probability > least]
         # Thrust at its limit would make the covariance wrong; a reserve already avoids that.
-        reserved = _KEPT_BY_CONTROLLER & set(self._least)
+        reserved = KEPT_BY_CONTROLLER & set(self._least)
         pressed = [a for a in pressed if a.field not in reserved]
         missed = [m for m in tried.missed if m.field and (m.field in held or m.probability > least)]
         taken = tried.missing_places
         taken += sum(
-            p for a, p in alone.items() if p <= least and a.field not in _KEPT_BY_CONTROLLER
+            p for a, p in alone.items() if p <= least and a.field not in KEPT_BY_CONTROLLER
         )
         share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed) + len(missed), 1)
         margins = dict(self._least)

@@ -47,7 +47,7 @@ from pyomo_quad.flight.flight import (
     TILT_STATES,
     VELOCITY_STATES,
 )
-from pyomo_quad.flight.margins import tightened, used_up
+from pyomo_quad.flight.margins import KEPT_BY_CONTROLLER, tightened, used_up
 from pyomo_quad.flight.plan import Trajectories, trajectories_of
 from pyomo_quad.flight.planning import Planner
 from pyomo_quad.flight.references import PlannedPath, Setpoint
@@ -258,7 +258,9 @@ class Replanner:
     planner : Planner
         Planner that compiles the equations.
     margins : mapping, optional
-        Scenario field -> amount by which its limit is tightened for the plans.
+        Scenario field -> amount by which its limit is tightened for the plan made before take-off.
+        Re-plans have the same margins, except on rotor speed and thrust: these limits are hard, so
+        that a re-plan would rather miss the goal than use the reserve.
 
     Raises
     ------
@@ -285,11 +287,12 @@ class Replanner:
                     f"the mission first, or give mission.waypoints[{k}].at."
                 )
         is_told = knowledge is Knowledge.TOLD
-        held = tightened(scenario, margins or {})
+        self.margins = margins or {}
+        soft = {name: m for name, m in self.margins.items() if name not in KEPT_BY_CONTROLLER}
+        held = tightened(scenario, soft)
         believed = held.as_it_blows() if is_told else held.as_forecast()
         self._end = scenario.mission.fixed_duration
         self._scenario = scenario
-        self.margins = margins or {}
         self.belief = Belief(mass=scenario.vehicle.total_mass, unexplained=(0.0, 0.0))
         self._whole, _ = planner.problem_for(believed)
         is_untold = not is_told and scenario.wind.forecast is None

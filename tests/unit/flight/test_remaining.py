@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from pyomo_quad.flight import remaining
+from pyomo_quad.flight.controller import rotor_columns
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
-from pyomo_quad.flight.remaining import Replanner, breach_of
+from pyomo_quad.flight.margins import greatest_margin
+from pyomo_quad.flight.remaining import Belief, Replanner, breach_of
 from pyomo_quad.scenario.tables import Knowledge
 from tests import flights
 
@@ -125,6 +127,24 @@ def test_a_plan_goes_on_only_within_the_margins(replanner, course):
     within, beyond = (moved(replanner, state, z=-share * MARGIN) for share in (0.9, 1.1))
     assert not replanner.is_off(course, 1.0, within)
     assert replanner.is_off(course, 1.0, beyond)
+
+
+def test_a_replan_uses_the_reserve_of_the_rotors_rather_than_miss_the_goal():
+    """The plan's margin leaves too little for a vehicle that is a sixth heavier than planned."""
+    mission = flights.scenario("paper_calm", *MISSION)
+    margin = greatest_margin(mission, "limits.rotor_speed_max")
+    planned = Replanner(mission, Knowledge.TOLD, flights.PLANNER)
+    careful = Replanner(
+        mission, Knowledge.TOLD, flights.PLANNER, {"limits.rotor_speed_max": margin}
+    )
+    first = planned.first()
+    careful.prepare(first)
+    state = state_at(careful, careful.first_course(first), 1.0)
+    mass = 7.0 / 6.0 * mission.vehicle.total_mass
+    state[rotor_columns(careful.dynamics)] = mission.limits.rotor_speed_max
+    replan = careful.solve(1.0, state, Belief(mass=mass, unexplained=(0.0, 0.0)))
+    assert replan.is_converged
+    assert breach_of(replan) < 1e-3
 
 
 def test_elements_are_short_at_both_ends_and_none_is_longer_than_the_longest():
