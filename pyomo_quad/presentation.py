@@ -1,15 +1,12 @@
-"""Registry through which plans and runs call the functions that draw and report them.
+"""Registry of the presenter, the module that draws plans and runs and writes their reports.
 
 A plan is an optimised flight. A run is a plan together with the baseline flights that it is
-compared with.
+compared with. The presenter is the module `pyomo_quad.report.presenting`.
 
-The presenter is the module `pyomo_quad.report.presenting`, which draws plans and runs and writes
-their reports. Methods such as `Plan.plot` need the presenter. They call the function `presenter` of
-this module to get it.
-
-The modules of plans and runs must not import the presenter. The presenter imports matplotlib, and
-belongs to a package that depends on the packages of plans and runs. Therefore
-`pyomo_quad/__init__.py` registers here a function that imports the presenter when it is needed.
+Methods such as `Plan.plot` need the presenter, but their modules must not import it, for two
+reasons: the presenter imports matplotlib, and its package depends on the packages of plans and
+runs. Therefore `pyomo_quad/__init__.py` registers here a function that imports the presenter. The
+methods call the function `presenter` of this module, which calls the registered function.
 """
 
 from collections.abc import Callable

@@ -43,10 +43,13 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
+    The copies start to work on the tasks at the beginning of the ``with`` block. This process joins
+    in when the block calls the yielded function. The copies are killed at the end of the block.
+
     There is at most one process per core. A copy starts with all libraries and data of this
-    process, and ends with this process. If a task fails in a copy, or its result cannot be sent
-    back, the task is run once more in this process. If it fails again, this process raises the
-    error. All tasks run in this process where a fork is not safe (see `cores`).
+    process, and ends if this process ends. If a task fails in a copy, or its result cannot be sent
+    back, this process runs the task once more. If the task fails again, this process raises the
+    error. Where a fork is not safe (see `cores`), all tasks run in this process.
 
     Parameters
     ----------
@@ -64,8 +67,8 @@ def side_by_side(
     Yields
     ------
     callable
-        Function without arguments. It runs the remaining tasks, waits for the copies, and returns
-        the results in the order of `tasks`.
+        Function without arguments. It runs tasks that no copy has taken, waits for the copies, and
+        returns the results in the order of `tasks`.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -121,8 +124,9 @@ def _have_ended(answers: Sequence[Future[Any]]) -> bool:
 def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
-    `use_blas` is whether the tasks call BLAS. The number is 1 where this process must not be
-    forked:
+    The processes are this process and forked copies of it. The argument `use_blas` states whether
+    the tasks call BLAS. The result is the number of available cores, but at most ``most``. The
+    result is 1 where this process must not be forked:
 
     - on systems other than Linux;
     - if the tasks call BLAS with several threads, because a forked copy lacks the threads;
@@ -137,9 +141,10 @@ def cores(most: int, *, use_blas: bool) -> int:
 
 @contextmanager
 def process_pool(count: int) -> Iterator[Executor]:
-    """Context manager: pool of ``count`` new (spawned) processes, which end with the block.
+    """Context manager: yield a pool of ``count`` new (spawned) processes.
 
-    Each process uses one thread, and is killed at the end of the block even while it works.
+    Each process uses one thread. All processes are killed at the end of the ``with`` block, even
+    while they work.
     """
     with environment_of_workers():
         pool = pool_of(count)
@@ -177,8 +182,8 @@ _work: Callable[[], Any] | None = None
 def _begin(work: Callable[[], Any] | None) -> None:
     """Initialise a process of a pool; each process calls this function once, at its start.
 
-    The process stores `work`, a function to call later, or None. SIGTERM will end the process. The
-    end of the parent process will end the process too.
+    The process stores `work`, a function that it will call as its task; None stores no function.
+    After this call, the signal SIGTERM ends the process, and the process ends when its parent ends.
     """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work

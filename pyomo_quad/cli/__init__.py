@@ -1,7 +1,7 @@
 """Command line `pyomo-quad`.
 
-Handlers for signals such as Ctrl-C are installed before the commands are imported. The import takes
-up to a second; Ctrl-C then ends the process during the import, too.
+The import of the commands takes up to a second. Handlers for signals such as Ctrl-C are installed
+before this import, so that Ctrl-C also ends the process during the import.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command; by default the arguments of the process.
+        Name and arguments of the command; by default the command-line arguments of the process.
 
     Returns
     -------
@@ -27,8 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Notes
     -----
-    If no arguments are given, the function also changes settings of the process. Signals such as
-    Ctrl-C then end the process, and `startup.own_process` makes the process faster.
+    If `arguments` is None, the function also changes settings of the process: signals such as
+    Ctrl-C end the process, and `startup.own_process` makes the process faster.
     """
     if arguments is None:
         end_on_signals()

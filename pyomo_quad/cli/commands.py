@@ -57,9 +57,9 @@ if TYPE_CHECKING:
 class Controller(StrEnum):
     """Controller of a simulated flight.
 
-    `ADAPTIVE` follows a reference with adaptive feedback. `OPEN_LOOP` applies the plan's controls
-    without feedback. `MPC` plans the rest of the mission again and again during the flight. `SE3`
-    is the controller of the simulator RotorPy.
+    `ADAPTIVE` tracks a reference trajectory with adaptive feedback. `OPEN_LOOP` applies the
+    plan's controls without feedback. `MPC` plans the rest of the mission again and again during the
+    flight. `SE3` is the geometric controller that the simulator RotorPy contains.
     """
 
     ADAPTIVE = "adaptive"
@@ -230,9 +230,10 @@ def _flown(
     plant : Plant
         Vehicle model.
     followed : Reference or None
-        Reference trajectory; None for re-planning, which follows no reference.
+        Reference trajectory that the controller follows; None for model-predictive control, which
+        follows no reference.
     knowledge : Knowledge
-        Information on the wind that re-planning has.
+        Information on the wind that model-predictive control uses.
     watch : Stopwatch
         Stopwatch that records the time of the solve.
 
@@ -483,7 +484,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments of the command; by default the arguments of the process.
+        Name and arguments of the command; by default the command-line arguments of the process.
     """
     if arguments is None:
         before_the_end(_end_other_processes)

@@ -36,7 +36,7 @@ _has_last_message = False
 class Stopped(Exception):  # noqa: N818  a stop by the user is not an error
     """Exception: the user stopped a command before it printed its result.
 
-    The command line catches the exception and prints a message.
+    The function `commands.main` catches the exception and prints a message.
     """
 
 
@@ -51,13 +51,13 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    The first signal is the request to stop. It starts a timer that ends the process after half a
-    second.
+    The first signal, such as Ctrl-C, is the request. It sets the attribute `is_requested`, and
+    starts a timer that ends the process. The timer lasts half a second if the attribute
+    `has_result` is False. It lasts one minute if `has_result` is True, so that the command can
+    write its report. After a second signal, the process ends within half a second.
 
-    The command sets the attribute `has_result` as soon as it has a plan whose simulated flight
-    arrives and keeps all limits. If `has_result` is set when the first signal arrives, the timer
-    lasts one minute, so that the command can write its report. A second signal shortens this minute
-    to half a second.
+    The command sets `has_result` as soon as it has a plan whose simulated flight arrives and keeps
+    all limits.
     """
 
     def __init__(self) -> None:
@@ -67,9 +67,9 @@ class Interruption:
     def request(self, _signal: int, _frame: FrameType | None) -> None:
         """Handle a signal: record the request, and start a timer that ends the process.
 
-        A second signal shortens the time until the end. In a process that also runs other code,
-        such as tests, no timer is set. The arguments are those that Python passes to every signal
-        handler; they are not used.
+        A second signal shortens the time until the end to half a second. In a process that also
+        runs other code, such as tests, no timer is set. The arguments are those that Python passes
+        to every signal handler; they are not used.
 
         Raises
         ------
@@ -111,7 +111,8 @@ def leave(status: int) -> int:
 def record_last_message() -> None:
     """Record that the command has printed its last message.
 
-    If a timer ends the process later, no second message is printed.
+    After a signal such as Ctrl-C, a timer may end the process, and print that the command was
+    interrupted. After a call of this function, the timer prints nothing.
     """
     global _has_last_message  # noqa: PLW0603  a fact about the process
     _has_last_message = True
@@ -127,12 +128,12 @@ def before_the_end(act: Callable[[], object]) -> None:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Context manager: record a signal as a request to stop, instead of ending the process.
+    """Context manager: record a signal as a request to stop; do not end the process at once.
 
     A solve inside the ``with`` block checks the record at each iteration. After a request, the
-    solve stops and returns its best iterate. A timer ends the process half a second after the
-    signal. The timer is one minute if the solve has found a plan whose simulated flight arrives and
-    keeps all limits; the command can then write a report.
+    solve stops and returns its best iterate. In addition, the signal starts a timer that ends the
+    process. The timer lasts one minute if the solve has found a plan whose simulated flight arrives
+    and keeps all limits; the command can then write a report. Otherwise it lasts half a second.
 
     Yields
     ------

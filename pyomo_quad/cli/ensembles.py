@@ -93,15 +93,15 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 
 
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
-    """Yield the lines that the command prints on the simulated flights of a plan.
+    """Yield the lines that the command prints about the simulated flights of a plan.
 
     Parameters
     ----------
     flown : Ensemble
         Flights of the plan in random winds.
     savings : sequence of Saving
-        Energy that the plan saves over an autopilot's flights in the same winds, for each speed of
-        the autopilot.
+        Comparison with an autopilot's flights in the same winds, one entry for each speed of the
+        autopilot: the energy that the plan saves.
     """
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")

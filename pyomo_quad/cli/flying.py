@@ -75,7 +75,7 @@ def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
     Parameters
     ----------
     scenario : Scenario
-        Scenario of the flights. The printed line begins with the scenario's name.
+        Scenario of the flights. The printed message begins with the scenario's name.
     fly : callable
         Function without arguments that simulates and returns one flight or several.
 
@@ -212,7 +212,7 @@ def write_flight(
 
 
 def verdict(scenario: Scenario, flight: Flight) -> str:
-    """Return a line to print on a simulated flight.
+    """Return a line of text about a simulated flight, for the terminal.
 
     The line states whether the flight arrived, how far from the goal it ended, its energy, and
     whether a simulation by a second integrator gives the same result.

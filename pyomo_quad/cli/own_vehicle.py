@@ -1,4 +1,4 @@
-"""Commands `vehicle` and `vehicles`: vehicle files from an owner's data, and their accuracy."""
+"""Commands `vehicle` (write a vehicle file) and `vehicles` (compare with measured powers)."""
 
 import sys
 from pathlib import Path

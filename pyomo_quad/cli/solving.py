@@ -139,8 +139,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
         Options of the command: permission to run the scenario's Python model builder, and choice of
         progress display.
     keeps_usable : bool, default False
-        Whether a stopped solve returns its best plan instead of raising `SolveStopped`. Only a plan
-        whose simulated flight arrives and keeps all limits is returned.
+        Whether a stopped solve returns its best plan if the plan's simulated flight arrives and
+        keeps all limits. In all other cases, a stopped solve raises `SolveStopped`.
 
     Raises
     ------
@@ -166,7 +166,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
     Raises
     ------
     Exit
-        With the status of an interrupted command.
+        If the user stops the solve. The exit status is that of an interrupted command.
     """
     try:
         with output_folder(folder) as aside:
@@ -308,7 +308,7 @@ _TEXTS = ("scenario", "flight")
 
 
 def verdict_lines(plan: Plan) -> Iterator[str]:
-    """Yield the lines to print on a plan.
+    """Yield the lines that a command prints about a plan.
 
     The lines give the plan's status, energy and estimated error, and the probability that a flight
     breaks a limit. For a failed plan, the lines give the causes of the failure.
@@ -367,7 +367,7 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
 
 
 def run_lines(result: "RunResult") -> Iterator[str | Table]:
-    """Yield the lines and the table to print on a run: headline, plan, flights and lower bound.
+    """Yield the printed result of a run: headline, plan, table of flights and lower bound.
 
     A run consists of a plan and of other flights of the mission for comparison. No flight of the
     mission needs less energy than the lower bound.

@@ -135,6 +135,8 @@ def compile(  # noqa: A001  as casadi, re and builtins do
 
     Examples
     --------
+    Compile and solve the model `m` of the example of `solve`:
+
     >>> problem = compile(m)
     >>> round(problem.solve(tolerance=1e-8).objective, 6)
     1.0

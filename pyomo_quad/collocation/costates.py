@@ -250,18 +250,20 @@ def costate_errors_of(
 
     The error is relative to the magnitude of the costate, `costates.sizes`.
 
-    The estimate is the larger of two errors:
+    The estimate is the largest of three errors:
 
-    - Integration. `costates` holds two approximations at the collocation points: `stages`, which
-      come directly from the multipliers, and `at_points`. The latter were computed by integration
-      of the adjoint equations, with `stages` on the right-hand side. Here, the equations are
-      integrated again with `at_points` on the right-hand side. The error is twice the difference
+    - Integration. `costates` holds two approximations at the collocation points: `stages` and
+      `at_points`. The multipliers give `stages` directly. Integration of the adjoint equations,
+      with `stages` on the right-hand side, gave `at_points`. This function integrates the adjoint
+      equations again, with `at_points` on the right-hand side. The error is twice the difference
       between the results of the two integrations.
-    - Jumps. A limit on a state may become active or inactive inside an element. The costates may
-      then jump at an unknown time in the element. The multipliers of the limits cause a part of
-      the change of the costates over the element. A smooth polynomial is fitted to this part, and
-      the error is the residual of the fit. If the residual exceeds 2 % of this part, a jump is
-      possible, and the error is the whole part.
+    - Jumps. A limit on a state may become active or inactive inside an element. A costate may then
+      jump at an unknown time in the element. The multipliers of the limits cause a part of the
+      change of the costate over the element. A smooth polynomial is fitted to this part. If the
+      residual of the fit exceeds 2 % of the part, a jump is possible, and the error is the whole
+      part. Otherwise the error is the residual.
+    - Effect of jumps. By the adjoint equations, the error of jumps in one costate causes errors of
+      other costates in the same element.
 
     See docs/theory/transcription.md, eq. (13).
 

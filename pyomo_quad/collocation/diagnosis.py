@@ -363,8 +363,11 @@ def diagnose(
 
     Examples
     --------
+    The model `m` of the example of `solve` moves a point by 1 m in 1 s. A limit of 0.9 m/s on the
+    speed `u` makes the model infeasible:
+
     >>> from pyomo_quad.collocation import solve
-    >>> m.u.setub(0.9)  # 1 m in 1 s needs a speed of 1
+    >>> m.u.setub(0.9)
     >>> failed = solve(m)
     >>> failed.is_converged
     False
@@ -402,9 +405,10 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
     that one component of the Pyomo model declares. Each family has one slack, an upper bound on the
     relative violation of each limit in the family.
 
-    For each limit on a constraint, the elastic program has an additional unknown: the relative
-    violation of this limit. The slack of the family is its upper bound. A limit on an unknown needs
-    no additional unknown. It becomes a constraint that contains the slack.
+    For each limit on a constraint, the elastic program has an additional unknown, the relative
+    violation of this limit, and a constraint: the violation must not exceed the family's slack. For
+    each limit on an unknown, the elastic program has a constraint that contains the slack, but no
+    additional unknown.
 
     Parameters
     ----------
@@ -525,7 +529,7 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 
 
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
-    """Return the relaxations of limits that make the problem feasible.
+    """Return by how much the limits of each component must be relaxed for a feasible problem.
 
     A family consists of all limits that one component of the Pyomo model declares. The family with
     the largest relative relaxation comes first. Families with a negligible relaxation are left out.

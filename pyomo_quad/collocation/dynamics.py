@@ -58,7 +58,7 @@ class Instants:
     read : callable
         Function that evaluates components of the model, such as variables and expressions: ``(keys,
         *inputs)`` -> values, shape (n, n_keys). A key is a pair: the full name of a component, and
-        its index without the time.
+        its index without the time (i for ``x[i, t]``, None for ``x[t]``).
     numbers : callable
         Function that changes parameters: (data, new values of parameters by full name) -> changed
         copy of the data. The data are the last array of `inputs`.
@@ -81,8 +81,9 @@ class Instants:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         changed : mapping, optional
-            New values of parameters by full name; they must affect neither the time derivatives of
-            states nor algebraic variables.
+            New values of parameters by full name. The time derivatives of the states and the
+            algebraic variables are not computed again, and must therefore not depend on these
+            parameters.
 
         Returns
         -------
@@ -263,10 +264,10 @@ class Dynamics:
         Returns
         -------
         list of float
-            The fraction of the horizon, then the time-dependent parameters, then the data that
-            Python evaluates at the time t. An example of these data is a number that tells which
-            branch a rule of the model takes at the time t. The attribute `Declarations.scheduled`
-            describes these data.
+            The fraction of the horizon, then the time-dependent parameters, then quantities that
+            depend on time but have no CasADi expression. Python computes these quantities at the
+            time t. An example is a number that tells which branch a rule of the model takes at the
+            time t. The attribute `Declarations.scheduled` describes these quantities.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -750,6 +751,8 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
 
     Examples
     --------
+    The problem of the example of `solve` has the control `u` only:
+
     >>> controls, determined = split_algebraics(solution.problem)
     >>> [slot.name for slot in controls], determined
     (['u'], ())
@@ -994,7 +997,7 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """Symbolic number, the argument with which a control law is called to compile the law.
+    """Symbolic number that is passed to a control law in order to compile the law.
 
     The control law is called once, with symbols instead of numbers. Arithmetic and NumPy functions
     that the law applies to the symbols become CasADi expressions.
@@ -1045,8 +1048,8 @@ class Law(Protocol):
     """Type of a feedback control law: a function of numbers that can be compiled to CasADi.
 
     The law may use arithmetic and NumPy's elementwise functions `sqrt`, `exp`, `log`, `fmin` and
-    `fmax`. It may also use trigonometric (also inverse) and hyperbolic functions. It must not
-    branch (`if`) on its arguments.
+    `fmax`. It may also use trigonometric, inverse trigonometric and hyperbolic functions. It must
+    not branch (`if`) on its arguments.
     """
 
     def __call__(
@@ -1226,10 +1229,10 @@ class ClosedLoop:
 
     @classmethod
     def without_feedback(cls, dynamics: Dynamics) -> Self:
-        """Return the loop of a vehicle whose controls are the command itself.
+        """Return an object that simulates the vehicle with given controls, without feedback.
 
-        The law has no states of its own. `dynamics` is the right-hand side of the vehicle's
-        equations.
+        The control law of this closed loop returns the command as the controls, and has no states
+        of its own. `dynamics` is the right-hand side of the vehicle's equations.
         """
         n_controls = len(dynamics.control_names)
         return cls(dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0)

@@ -85,7 +85,7 @@ class FirstSolve(Search[S], Generic[S]):
         """Result of the solve that the caller requested and that failed, with a verdict.
 
         The verdict states whether the problem is infeasible near the last iterate. The constraint
-        violation is minimised once to find the verdict; later calls return the cached result.
+        violation is minimised at the first access; later accesses return the cached result.
         """
         return self.judge(self.failed)
 

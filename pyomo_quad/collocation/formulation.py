@@ -243,8 +243,9 @@ class Evaluator:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         inputs : ndarray, shape (n, k)
-            Five arrays with one row per point: rates, states, algebraic variables, static variables
-            and data.
+            Five arrays with one row per point: rates (derivatives of the states with respect to the
+            fraction of the horizon); states; algebraic variables; static variables (variables
+            without time); and data (fraction of the horizon and parameters).
 
         Returns
         -------
@@ -403,10 +404,10 @@ _LOOKED_AT = (0.0, 0.2718, 0.5772, 1.0)
 
 
 class Formulation:
-    """Pyomo.DAE model translated to CasADi functions, with its data and programs on meshes.
+    """Pyomo.DAE model translated to CasADi functions, with its data and its nonlinear programs.
 
-    Base class of `Problem`, which documents the arguments and the accepted declarations. The
-    nonlinear programs of the last four meshes are cached.
+    Base class of `Problem`, which documents the arguments and the accepted declarations. Each mesh
+    has its own nonlinear program. The nonlinear programs of the last four meshes are cached.
     """
 
     def __init__(
@@ -694,7 +695,8 @@ class StructuralIndex:
     Attributes
     ----------
     index : int
-        Structural index; 0 for an ODE.
+        Structural index: the number of times by which the equations must be differentiated to
+        obtain an ODE; 0 for an ODE.
     differentiated : dict
         Name of an equation -> number of differentiations with respect to time. Equations that need
         no differentiation are left out.
@@ -717,7 +719,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
       contains.
 
     `declared` are the declarations of the model, with its equations. Controls count as unknowns,
-    like all algebraic variables. An equation that contains no variables but states makes the index
+    like all algebraic variables. An equation whose only variables are states makes the index
     higher, even if controls influence these states through other equations.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.

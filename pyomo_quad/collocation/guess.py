@@ -447,7 +447,8 @@ def _inside(number: float, bounds: Bounds, column: int) -> float:
 
     - If both bounds are finite, the result is the middle between them.
     - If one bound is finite, the result is this bound.
-    - If neither bound is finite, `number` is NaN, and the result is infinity (the upper bound).
+    - If neither bound is finite, the result is infinity, the upper bound. This case occurs only if
+      `number` is NaN.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

@@ -681,11 +681,14 @@ class JointProblem(Summarised):
                 z[union.statics[name]] += off
 
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
-        """Raise an error if the joint program is not finite at the point `z`, or over-determined.
+        """Raise an error if the joint program cannot be evaluated or its equations cannot be met.
 
-        Equations are constraints with equal bounds; free unknowns are unknowns with unequal bounds.
-        The program is over-determined if it has more equations than free unknowns, and its
-        equations are linear and contradict each other.
+        An error is raised in two cases:
+
+        - At the point `z`, a constraint, the objective or a derivative of these is not finite.
+        - The program has more equations than free unknowns, and its equations are linear and
+          contradict each other. Equations are constraints with equal bounds. Free unknowns are
+          unknowns with unequal bounds.
 
         `union` joins the nonlinear programs of all horizons to the joint program, and `bounds` are
         the bounds of the unknowns and constraints of the joint program.

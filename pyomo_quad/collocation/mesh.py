@@ -126,7 +126,8 @@ def radau_rule(degree: int) -> RadauRule:
 
     Notes
     -----
-    The interior points are the zeros of the Jacobi polynomial P(1, 0) of degree d - 1.
+    For d collocation points, the interior points are the zeros of the Jacobi polynomial P(1, 0) of
+    degree d - 1, mapped to the unit interval.
     """
     if degree < 1:
         raise TranscriptionError(
@@ -753,8 +754,8 @@ class Mesh(Summarised):
     def locate(self, fractions: FloatArray) -> NDArray[np.intp]:
         """Return the index of the element that contains each of several times.
 
-        A boundary belongs to the element that ends there, also if its fraction was computed from a
-        time in seconds, whose rounding error may move it past the boundary.
+        A time at an element boundary belongs to the element that ends there. Rounding errors, for
+        example of a fraction that was computed from a time in seconds, do not change this.
 
         Parameters
         ----------

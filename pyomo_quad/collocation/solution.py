@@ -152,7 +152,8 @@ class Outcome(Summarised):
     wall_s : float
         Wall-clock time of the last solve [s].
     error_estimate : float
-        Largest relative error over elements and states; infinite if not estimated.
+        Estimated relative error of the states in a single element, the largest over all elements
+        and states; infinite if not estimated.
     state_error : float
         Estimated distance of the states from the optimal states, relative to the magnitudes of the
         states. The errors of all elements are added. Two effects can raise the estimate above this
@@ -515,8 +516,8 @@ class Solution(Outcome):
         Returns
         -------
         float or ndarray
-            In the shape of `t`. The cost is the minimised objective: the negative of the declared
-            objective if that is maximised.
+            Costate at each time, in the shape of `t`. The cost is the declared objective, or its
+            negative if the objective is to be maximised.
 
         Raises
         ------
@@ -538,7 +539,8 @@ class Solution(Outcome):
 
         The error is relative to the costate's largest magnitude. A costate may jump where a limit
         on a state becomes active or inactive. A jump inside an element makes the error as large as
-        the jump. The error is infinite if the errors of the states were not estimated.
+        the jump. The error is at least `state_error`, the estimated error of the states. The error
+        is therefore infinite if the error of the states was not estimated.
         """
         own = costate_errors_of(
             self.program,
@@ -556,9 +558,9 @@ class Solution(Outcome):
         """Warnings about a converged solution, one line each; empty if it has not converged.
 
         The attribute `notes` has warnings of the solve, for example that some equations follow from
-        others. One more warning is added if the Hamiltonian should be constant, but varies by more
-        than mesh errors can explain. It should be constant if the problem does not depend on time
-        explicitly.
+        others. If the problem does not depend on time explicitly, its Hamiltonian should be
+        constant. One more warning is added if this Hamiltonian varies by more than mesh errors can
+        explain.
         """
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 

@@ -88,8 +88,8 @@ class _WholeSolve(Search[S], Generic[S]):
         """Solve with a given solution strategy, and return the result.
 
         The strategy determines the starting point: the warm start, the guess, or the last iterate
-        of the interrupted solve from the warm start. It also determines whether the iterations are
-        limited by the budget.
+        of the interrupted solve from the warm start. The strategy also determines whether the
+        budget limits the iterations.
         """
         known = self.known if strategy.iterations is None else None
         limits = (known.first, known.iterations) if known else (inf, inf)
@@ -123,8 +123,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether no further solution strategy needs to be tried.
 
-        A further one is tried only if the last solve was stopped because it exceeded its budget of
-        iterations. The result `found` of the last solve is not used.
+        A further strategy is tried only if the last solve was stopped because it exceeded its
+        budget of iterations. The result `found` of the last solve is not used.
         """
         del found
         return self.has_ended
@@ -281,7 +281,8 @@ def _finished_of(finished: list[S], ended: S) -> S:
 def _in_time(solution: S, deadline: Effort) -> S:
     """Add a message on the time limit to a solution whose solve was interrupted by that limit.
 
-    `deadline` measured the wall-clock time of the solve. Any other solution is returned unchanged.
+    `deadline` holds the time limit, and whether the solve exceeded this limit. Any other solution
+    is returned unchanged.
     """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution

@@ -140,10 +140,11 @@ class WarmStart:
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
         """Interpolate the warm start to another mesh and horizon, at equal physical times.
 
-        A multiplier belongs to a constraint at a collocation point. It is proportional to the
-        duration that the point represents: its quadrature weight times the horizon. Multipliers are
-        therefore divided by these durations, interpolated in time, and multiplied by the durations
-        of the new points. Multipliers of bounds are kept non-negative.
+        A multiplier belongs to a constraint at a collocation point. The multiplier is proportional
+        to the duration that the point represents: the point's quadrature weight times the length of
+        the horizon. Multipliers are therefore divided by the durations of the old points,
+        interpolated in time, and multiplied by the durations of the new points. Multipliers of
+        bounds are kept non-negative.
 
         Parameters
         ----------
@@ -328,8 +329,9 @@ class Start:
         Trajectory and multipliers of another solution. For several horizons: one warm start per
         horizon, and one for the constraints that couple them.
     guess : mapping, Trajectory or list, optional
-        Initial values where there is no warm start; for several horizons, a list with one item per
-        horizon. By default the values of the model's variables.
+        Initial values where there is no warm start. For several horizons: a list with one guess per
+        horizon, and a last guess for the variables of no horizon. By default, the values of the
+        model's variables are the guess.
     seed : int
         If above 0, the initial point is random between the bounds, generated with this seed.
     is_elastic : bool

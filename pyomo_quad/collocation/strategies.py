@@ -109,11 +109,11 @@ class Strategy:
     name : str
         Name in the record of the strategies that were tried.
     when : set of Fact
-        Conditions that must all be true.
+        Conditions that must all be true before the strategy is tried.
     first : First
         Kind of initial point.
     finer : int
-        Factor on the number of elements of the first mesh.
+        Factor by which the number of elements of the first mesh is multiplied.
     barrier : str, optional
         Value of Ipopt's option `mu_strategy`: "monotone" or "adaptive".
     is_scaled : bool
@@ -142,7 +142,13 @@ class Strategy:
     times: int = 1
 
     def settings(self, options: SolverOptions) -> SolverOptions:
-        """Return `options`, the caller's settings of Ipopt, with the strategy's changes."""
+        """Return the settings of Ipopt with which the strategy solves.
+
+        `options` are the caller's settings. If the attribute `barrier` of the strategy is None,
+        `options` is returned unchanged. Otherwise the result is a copy of `options` with two
+        changes: `barrier` is the value of `mu_strategy`, and the number of iterations is limited to
+        the attribute `iterations`, unless the caller's limit is lower.
+        """
         if self.barrier is None:
             return options
         limited = options.at_most(self.iterations or inf)

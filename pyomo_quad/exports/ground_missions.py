@@ -538,7 +538,8 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
     Parameters
     ----------
     places : list of _Place
-        All places of the mission, in order. The function changes the place of the release.
+        All places of the mission, in order. The function sets the attribute `release` of the place
+        where the payload is released.
     payload_kg : float
         Mass of the payload; 0 if there is none.
     notes : Counter of str

@@ -104,8 +104,8 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states of the filters that model turbulence: state name -> value.
 
-    `dynamics` has the equations of the simulated vehicle. The result is empty if they include no
-    turbulence.
+    `dynamics` has the equations of the simulated vehicle. The values are those at the start of the
+    Pyomo model. The result is empty if the equations include no turbulence.
     """
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
@@ -348,8 +348,9 @@ def fly(
 def closed_loop(dynamics: Dynamics, controller: AdaptiveController) -> ClosedLoop:
     """Return the compiled closed loop of a vehicle and its adaptive controller.
 
-    The initial estimate of the controller is not part of the closed loop. Controllers that differ
-    in it alone have the same closed loop.
+    The closed loop is a system of differential equations for the joint states of vehicle and
+    controller. It does not include the initial values of the controller's states. Controllers that
+    differ only in these values therefore have the same closed loop.
 
     Parameters
     ----------
@@ -371,9 +372,10 @@ class _Loop:
     """Closed loop of vehicle and controller as a system of differential equations.
 
     The joint state of the system holds the states of the vehicle, the states of the controller, and
-    the energy spent. `system` is its compiled right-hand side. `dynamics` has the equations of the
-    vehicle. `controller` follows the path `reference`. `guard` raises an error after so many
-    evaluations that the vehicle must be tumbling.
+    the energy spent. `system` is the compiled right-hand side of the differential equations.
+    `dynamics` has the equations of the vehicle. `controller` follows the path `reference`. `guard`
+    counts the evaluations of the right-hand side; it raises an error at a number that only a
+    tumbling vehicle needs.
     """
 
     def __init__(
@@ -853,8 +855,8 @@ def _doubts(
     `flown_twice` has two simulations of each part of the flight, by different integrators. `flown`
     is the whole flight as simulated by the first integrator. `dynamics` is the simulated vehicle.
 
-    The two integrators may differ in final position or energy, or the battery may not supply the
-    power, the charge or the voltage.
+    There are two kinds of reasons. First, the two integrators differ too much in the final position
+    or in the energy. Second, the battery cannot supply the power, the charge or the voltage.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
@@ -913,7 +915,7 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
 
     The controller measures the position, velocity, attitude and body rates of a quadrotor. The
     tuple `MEASURED_STATES` has the names of these states. `dynamics` is the vehicle model.
-    `scenario` gives the name for the error message.
+    The error message begins with the name of `scenario`.
 
     Raises
     ------
@@ -931,6 +933,7 @@ def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
 def even_times(start: float, end: float, rate_hz: float) -> FloatArray:
     """Return equally spaced times from start to end, both included [s].
 
-    `rate_hz` is the number of times per second; the spacing is adjusted to the duration.
+    `rate_hz` is the number of times per second. It is met approximately, because a whole number of
+    equal steps must fit between `start` and `end`.
     """
     return np.linspace(start, end, max(2, round((end - start) * rate_hz) + 1))

@@ -40,11 +40,11 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LimitDistance:
-    """Statistics over time of the distance of flights in turbulence from one bound of a constraint.
+    """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
-    The constraint is a path constraint ("limit") with a lower or an upper bound, or with both, such
-    as the limit on the roll angle. The flights follow one plan under feedback. The arrays have one
-    entry for each of n times.
+    The constraint is a path constraint, such as the limit on the roll angle. It has a lower bound,
+    an upper bound, or both. The flights follow one plan under feedback. The arrays have one entry
+    for each of n times. A distance is positive within the bound and negative beyond the bound.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class LimitDistance:
         Distance of the mean flight (without gusts) from the bound, in the unit of the bound. It is
         measured to the bound itself, not to the tightened bound that the plan keeps.
     planned : ndarray, shape (n,)
-        Distance of the plan from the bound, in the unit of the bound.
+        Distance of the plan itself from the same bound, in the unit of the bound.
     deviation : ndarray, shape (n,)
         Standard deviation of the distance over the flights, in the unit of the bound.
     correlation : ndarray, shape (n - 1,)
@@ -199,8 +199,8 @@ def limit_distances(
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
     """Return the derivatives of all path constraints with respect to the states.
 
-    `spread` is the distribution of flights. The derivatives are central differences about its mean
-    flight.
+    `spread` is the distribution of the states of flights about their mean flight. The derivatives
+    are central differences at the mean flight.
 
     Returns
     -------
@@ -244,11 +244,10 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field that sets the limit, such as the radius of the waypoint. If the field is
-        tightened for the plan, fewer flights break the limit. The string is empty if no field can
-        be tightened. This is so at the goal, for example, because the plan already reaches the goal
-        exactly. Without a field, only a larger reserve of thrust for the controller makes fewer
-        flights break the limit.
+        Scenario field to tighten for the plan so that fewer flights break the limit, such as the
+        radius of the waypoint. The string is empty if tightening a field cannot help. An example is
+        the goal, because every plan already reaches the goal exactly. In this case, only a larger
+        reserve of thrust for the controller makes fewer flights break the limit.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float

@@ -85,7 +85,9 @@ class Candidate:
         Record of the strategies tried. It is also the progress callback that stops solves at the
         time limit.
     start : Start or None
-        Solution or plan of a similar problem, from which the search starts.
+        Starting point of the search: a plan, a warm start, the solution of a similar problem, or
+        the mission's solution along its shortest route (`AlongShortest`). None if the search has no
+        starting point.
     solution : Solution or None
         The best solution found so far. At first, it is the result of the first solve, converged or
         not. A later solve may replace it, for example a retry that succeeds. None before the first
@@ -95,7 +97,8 @@ class Candidate:
     is_closed : bool
         Whether keep-out zones block every route.
     diagnosis : Diagnosis or None
-        Diagnosis of a failed solve.
+        Diagnosis of a failed solve by an elastic problem, which minimises the violation of the
+        limits. None if there was no such diagnosis.
     slower : Trajectory or None
         Solution of the mission with a longer duration, if there is one.
     shortest : Solution or None
@@ -235,11 +238,11 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, its result depends on the mission. In a mission with
-        regeneration, the result is kept as a failed solution. In a mission without regeneration,
-        the result is discarded, and other strategies are tried. Without regeneration, a rotor that
-        brakes returns no energy. The power therefore has a kink at zero, and the mission is hard to
-        solve directly.
+        If the solve does not converge, there are two cases. In a mission with regeneration (braking
+        rotors return energy), the result is kept as a failed solution. In a mission without
+        regeneration, the result is discarded, and other strategies are tried. These strategies are
+        better suited to such a mission: its power has a kink at zero, so that it is hard to solve
+        directly.
 
         Returns
         -------
@@ -500,10 +503,11 @@ class Candidate:
         limits. The mission is judged infeasible if the solution of the elastic problem violates a
         limit, and `find_shortest` found no flight within the mission's duration.
 
-        Both cases have two exceptions, in which the mission is not judged infeasible. The first
-        exception is a flight that kept all limits on a coarse mesh. The second exception is a wind
-        field through which another route may exist. The elastic problem cannot exclude another
-        route: it is solved near one iterate only, the best iterate of a failed solve.
+        There are two exceptions, in which the mission is not judged infeasible. The first exception
+        applies to both cases: a flight kept all limits on a coarse mesh. The second exception
+        applies to the second case only: another route through a wind field may exist. The elastic
+        problem cannot exclude another route, because it is solved near one iterate only, the best
+        iterate of a failed solve.
 
         If the mission is not judged infeasible, the status is "not converged".
         """
@@ -526,7 +530,9 @@ class Candidate:
 
         The reason is a text for the user; it is empty if there is no reason. One reason is a route
         along which a solve met all limits on a coarse mesh and failed only on finer meshes. Another
-        reason is a wind field: a flight may exist along a route that was not tried.
+        reason is a wind field: a flight may exist along a route that was not tried. The wind field
+        is no reason if the mission's duration is below the least duration that `find_shortest`
+        found.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:

@@ -3,9 +3,9 @@
 A leg is the line between two corners of a route. The floor is the least height above the ground
 that the mission allows. A leg that is below the floor anywhere is replaced by three straight parts:
 a climb, a level part and a descent. The level part is at the greatest height that the floor
-requires along the leg. Climb and descent are just steep enough to clear the floor. The lines of
-climb and descent, if continued, may meet only slightly above the level part. The level part is then
-left out, and the meeting point is the only new corner.
+requires along the leg. Climb and descent are just steep enough to clear the floor. If the level
+part is short, the continued lines of climb and descent meet only slightly above it. The level part
+is then left out: the climb leads to the meeting point, and the descent begins there.
 """
 
 from itertools import pairwise

@@ -45,9 +45,10 @@ class Column:
     name : str
         Heading of the column in the table.
     component : str
-        Component of the model whose values are in the column.
+        Full name of the component of the Pyomo model whose values are in the column.
     index : int or None
-        Index of the component other than time, such as the number of a rotor.
+        Index of the component other than time, such as the number of a rotor. None if time is the
+        only index.
     words, symbol, unit : str
         Name in words, symbol (LaTeX) and unit, as printed in figures.
     scale : float
@@ -75,7 +76,10 @@ class Column:
 
     @property
     def variable(self) -> str:
-        """Full name of the model's variable in the column, with its index other than time."""
+        """Full name of the model's variable in the column, such as "rotors.omega[1]".
+
+        The index of the time is left out.
+        """
         return self.component if self.index is None else f"{self.component}[{self.index}]"
 
     @property

@@ -1,8 +1,8 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
-The paper (Yacef et al.) cites such a controller without giving its equations. This module has a
-controller of the same kind. For the control law, the proof by a Lyapunov function and the limits,
-see docs/theory/controller.md, eqs. (1) to (11).
+The paper by Yacef et al., whose model this package uses, cites such a controller without giving its
+equations. This module has a controller of the same kind. For the control law, the proof by a
+Lyapunov function and the limits, see docs/theory/controller.md, eqs. (1) to (11).
 
 The control law can be called with numbers or with symbolic variables. With symbolic variables it
 returns expressions, which are compiled together with the equations of the vehicle. The law
@@ -27,10 +27,11 @@ Vector = Sequence[float]
 
 
 class AttitudeKinematics(Protocol):
-    """Interface of the attitude kinematics: rates of the angles from body rates, and the inverse.
+    """Interface of the attitude kinematics, which relate attitude angles and body rates.
 
-    The angles are roll, pitch and yaw [rad]; the body rates are the angular velocities about the
-    body axes [rad/s].
+    The methods convert body rates to rates of the angles, and accelerations in both directions. The
+    angles are roll, pitch and yaw [rad]. The body rates are the angular velocities about the body
+    axes [rad/s].
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
@@ -62,7 +63,7 @@ class AttitudeKinematics(Protocol):
 class EquatedRates:
     """Simplified kinematics: rates of roll, pitch and yaw equal the body rates.
 
-    This is eq. (9) of the paper (Yacef et al.).
+    This is eq. (9) of the paper by Yacef et al., whose model this package uses.
     """
 
     def angle_rates(self, _attitude: Vector, body_rates: Vector) -> Vector:
@@ -349,8 +350,9 @@ def bend(magnitude: float, limit: float) -> float:
     Returns
     -------
     float
-        The number itself up to 80 % of the limit. Beyond 80 %, a tanh of the number, which
-        approaches the limit. The result is twice continuously differentiable.
+        The number itself, if its absolute value is at most 80 % of the limit. Otherwise, the
+        absolute value of the result follows a tanh function that approaches the limit, and the sign
+        is that of the number. The result is twice continuously differentiable.
     """
     straight = _LINEAR_SHARE * limit
     rest = limit - straight
@@ -436,8 +438,8 @@ class BacksteppingLoop:
     of the lag on the rate of the error. The last, d_hat, is the estimated disturbance, an
     acceleration.
 
-    Errors are in m for the position and in rad for the attitude. Rates are in m/s or rad/s,
-    accelerations in m/s^2 or rad/s^2.
+    A tracking error is the actual value minus the reference value. Errors are in m for the position
+    and in rad for the attitude. Rates are in m/s or rad/s, accelerations in m/s^2 or rad/s^2.
     """
 
     outer: tuple[float, float, float]
@@ -611,10 +613,10 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. Its
-    value `baseline.gains.tilt_max` is the largest tilt, if it is set. Otherwise, the largest tilt
-    is the tilt at which the largest commanded thrust still balances the weight. The result never
-    exceeds the tilt that the limits on roll and pitch allow.
+    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. If
+    the scenario sets `baseline.gains.tilt_max`, this value is the largest tilt. Otherwise, the
+    largest tilt is the tilt at which the largest commanded thrust still balances the weight. The
+    result never exceeds the tilt that the limits on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -677,7 +679,7 @@ class ThrustEnvelope:
         return [length * ax, length * ay, length * az]
 
     def _reach(self, along: float, upward: float, planned: Sequence[float]) -> float:
-        """Return the largest acceleration in a direction that thrust and tilt allow [m/s^2].
+        """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
         direction. `planned` is the planned acceleration [m/s^2]. If the planned acceleration needs

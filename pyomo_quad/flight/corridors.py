@@ -85,10 +85,11 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
 
 
 class WindMap:
-    """Horizontal wind of a field at any place and time, by linear interpolation on its grid.
+    """Horizontal wind at any place and time, by linear interpolation in the data of a wind field.
 
-    The search on a grid evaluates the wind very often; linear interpolation is faster than the
-    spline of the model.
+    `told` is the mission in its forecast wind, which has a field. The search for routes evaluates
+    the wind very often. Linear interpolation is used because it is faster than the spline that
+    represents the wind in the Pyomo model.
     """
 
     def __init__(self, told: Scenario) -> None:
@@ -238,11 +239,12 @@ def estimate_of(journey: Journey) -> float | None:
 def corridor_journeys(
     told: Scenario, steady: SteadyFlight, shortest: Journey
 ) -> tuple[Journey, ...]:
-    """Return journeys along cheap routes through a wind field, the cheapest first.
+    """Return journeys along cheap routes through a wind field, and the shortest journey.
 
     A journey is a sequence of routes, one for each leg of the mission from waypoint to waypoint. A
-    leg may have several cheap routes that lie apart (corridors). The last journey returned is
-    always `shortest`, because the grid of the search may be too coarse to find it.
+    leg may have several cheap routes that lie apart (corridors). A search on a grid finds them, and
+    the journeys are combinations of them. The journey `shortest` is added in every case, because
+    the grid may be too coarse for the search to find it.
 
     Parameters
     ----------
@@ -256,7 +258,8 @@ def corridor_journeys(
     Returns
     -------
     tuple of Journey
-        Each a tuple of routes that carry their estimated energies.
+        The cheapest combinations of corridors, in the order of increasing energy, and then
+        `shortest`. Each route has its estimated energy.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -463,7 +466,7 @@ class _Search:
         self._back, self._after = dijkstra(graph.T.tocsr(), indices=1, return_predecessors=True)
 
     def time_of_cheapest(self) -> float:
-        """Return the duration of the cheapest route [s]; infinite without a route."""
+        """Return the duration of the cheapest route [s]; infinite if there is no route."""
         nodes = self._through(1)
         return sum(float(self._times[a, b]) for a, b in pairwise(nodes)) or inf
 

@@ -85,7 +85,8 @@ class Draws:
         constant during a flight.
     noise : mapping to ndarray, shape (n_steps, n)
         Full name of a parameter -> its values. These parameters change during a flight, such as the
-        noise of the turbulence. Each value applies for `LONGEST_STEP_S` [s].
+        noise of the turbulence. Each row applies for one step of `LONGEST_STEP_S` [s], the first
+        row from the start of the flight.
     start : mapping to ndarray, shape (n,)
         Full name of a state -> its values at take-off.
     """

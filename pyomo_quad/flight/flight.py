@@ -306,6 +306,6 @@ def terminal_miss_of(
 def position_miss(miss: Mapping[str, float]) -> float:
     """Return the distance between final and required position [m].
 
-    `miss` maps state names to final minus required value, as `terminal_miss_of` returns it.
+    `miss` maps names of states to final minus required values, as `terminal_miss_of` returns them.
     """
     return float(np.linalg.norm([miss.get(name, 0.0) for name in POSITION_STATES]))

@@ -73,10 +73,10 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
     Several paths along the route are tried, with different speeds and accelerations. Each path that
-    keeps the limits is simulated under feedback. A simulation confirms the plan if the simulated
+    keeps the limits is simulated under feedback. A simulation confirms its path if the simulated
     flight reaches the goal and keeps the limits. The tolerances are wide: the flight may end half a
-    metre from the goal. The search for a plan ends when a simulation confirms one, or after the
-    third simulation.
+    metre from the goal. The search ends when a simulation confirms a path, or after the third
+    simulation.
 
     Parameters
     ----------
@@ -114,11 +114,11 @@ def _first_usable(
     reaches the goal and keeps the limits, to wide tolerances: the flight may end half a metre from
     the goal.
 
-    Pairs of a speed and an acceleration are tried in turn. A path that breaks no limit is
-    simulated. For each pair there may be a second path, which stays closer to the route at corners.
-    The second path is tried if the first path breaks only limits of the airspace (zones, fence,
-    floor, ceiling), or if the simulation does not confirm the first path. At most three paths are
-    simulated.
+    Pairs of a speed and an acceleration are tried in turn. Each pair determines a path. A path that
+    breaks no limit is simulated. For each pair there may be a second path, which stays closer to
+    the route at corners. The second path is tried if the first path breaks only limits of the
+    airspace (zones, fence, floor, ceiling), or if the simulation does not confirm the first path.
+    At most three paths are simulated.
 
     Parameters
     ----------

@@ -1,6 +1,6 @@
-"""Integration of ordinary differential equations by SciPy; of linear ones by matrix exponentials.
+"""Integration of differential equations by SciPy, and of linear systems by matrix exponentials.
 
-For linear equations see docs/theory/risk.md, eq. (5), and docs/theory/tracking.md, eq. (2).
+For linear systems see docs/theory/risk.md, eq. (5), and docs/theory/tracking.md, eq. (2).
 """
 
 from collections.abc import Callable, Sequence

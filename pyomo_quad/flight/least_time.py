@@ -113,8 +113,8 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     -------
     dict
         Nominal value of each free time [s] -> the Pyomo variable of this time. The nominal value is
-        the scenario's value or estimate of the time. It stands for the unknown time in the model's
-        continuous time set.
+        the scenario's value or estimate of the time. The nominal value is a member of the model's
+        `ContinuousSet` of times. Conditions for the free time are declared at this member.
 
     Raises
     ------

@@ -65,16 +65,16 @@ def limit_words(name: str) -> str:
 
 
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
-    """Convert the value of a limit and its unit from the model to the form in print.
+    """Convert the value of a limit from the unit of the model to the unit printed in reports.
 
-    The model limits the squares of some speeds and distances, in m**2/s**2 or m**2. The reports
-    print them as speeds in m/s and distances in m. `name`, `size` and `unit` are the name, value
+    The model limits the squares of some speeds and distances, in m**2/s**2 or m**2. Reports print
+    the speeds and distances themselves, in m/s and m. `name`, `size` and `unit` are the name, value
     and unit of the limit in the model.
 
     Returns
     -------
     (float, str)
-        Value and unit as printed.
+        Value and unit to print.
     """
     if name.partition("[")[0] not in WORDS:
         return size, unit
@@ -82,7 +82,7 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
 
 
 def excess(breach: Violation, unit: str) -> tuple[float, str]:
-    """Return the amount by which a limit is violated, and its unit, in the form in print.
+    """Return the violation of a limit, in the unit printed in reports, and this unit.
 
     `breach` is the violation, `unit` the unit of the limit in the model. If the model limits the
     square of a speed or distance, the result is the excess of the speed or distance itself.

@@ -106,9 +106,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        Initial guess: "time" and the names of states map to samples, shape (n,). If the duration is
-        free, "duration" maps to the duration [s]. None if start and goal coincide, or if there is
-        no steady flight at the cruise speed.
+        Initial guess. The names of states map to samples, shape (n,), and "time" to the times of
+        the samples [s]. If the duration is free, "time" has the times as fractions of the duration,
+        and "duration" maps to the duration [s]. None if start and goal coincide, or if there is no
+        steady flight at the cruise speed.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 

@@ -245,7 +245,8 @@ class MarginSearch:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
     Margins are the amounts by which limits are tightened for the plan. The risk is the probability
-    that a flight in turbulence breaks a limit. The margins are to keep it below the allowed risk.
+    that a flight in turbulence breaks a limit. The search finds margins with which the risk is at
+    most the allowed risk.
 
     Parameters
     ----------
@@ -285,10 +286,13 @@ class MarginSearch:
         self._seed = _SEED - 1
 
     def is_beyond_the_controller(self) -> bool:
-        """Return whether hovering vehicles alone break limits as often as the risk allows.
+        """Return whether gusts carry hovering vehicles off the goal too often for the allowed risk.
 
-        If flights along the plan without margins reach the goal, hovering is not simulated, and the
-        result is False.
+        Vehicles are simulated that hover at the goal in turbulence under the controller. The result
+        is True if the fraction that ends too far from the goal or too fast is at least the allowed
+        risk. Plans with any margins are then expected to break limits too often with this
+        controller. If flights along the plan without margins are predicted to reach the goal often
+        enough, no hover is simulated, and the result is False.
         """
         if not self._is_followed(self._begun):
             self._hovering = self._missed_by_hover
@@ -332,7 +336,7 @@ class MarginSearch:
         return self._stated(best.tried, best.counts, best.failed)
 
     def _examined(self, tried: _Tried) -> _Tested:
-        """Simulate test flights of a plan; if enough reach the goal, refine it and test it again.
+        """Test a plan by simulated flights; if enough reach the goal, refine it and test it again.
 
         `tried` is the plan with its margins. Test flights are simulations under feedback in random
         turbulence, which count how often a limit is broken. A refinement takes longer than a test.
@@ -364,7 +368,8 @@ class MarginSearch:
 
         A plan with smaller margins must pass a stricter test than usual. Its test flights that
         break a limit may be at most half as many as the allowed risk permits. The test is stricter
-        because several plans are tried: one of them may pass the usual test by chance.
+        because several plans are tried: one of them may pass the usual test by chance. The result
+        is a plan with smaller margins and its test results, or `best` if no such plan passes.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -483,9 +488,10 @@ class MarginSearch:
         Returns
         -------
         _Tried or None
-            The plan on the mesh of `last`, not refined, with predicted statistics of flights along
-            the plan; None if the solve fails. A mission of least duration is solved and refined
-            anew.
+            The plan with predicted statistics of flights along it; None if the solve fails. The
+            plan is on the mesh of `last` and is not refined. There is one exception: if the mission
+            asks for the least duration, the solve does not start from `last`, and the plan is
+            refined.
         """
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
@@ -608,9 +614,11 @@ class MarginSearch:
         flights about a plan determines the margins that the allowed risk requires. A plan with
         these margins has another covariance, and so requires other margins. The solves are
         therefore a fixed-point iteration, which starts from the plan `tried`. The result is the
-        last plan that was solved. The iteration ends early after a failed solve, after `_PLANS`
-        solves, or if the user stops the search. It also ends before a plan that flights cannot
-        follow, if they can follow the plan before it: test flights then decide on its margins.
+        last plan that was accepted. The iteration ends early after a failed solve, after `_PLANS`
+        solves, or if the user stops the search. It also ends early if flights can follow the
+        present plan to the goal, but are predicted to miss the goal too often along the new plan.
+        The new plan is then rejected, and the present plan is the result. Test flights show later
+        whether the margins of this plan are large enough.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
@@ -730,10 +738,12 @@ class MarginSearch:
         of the test flights and the present margins. The result maps each scenario field to its new
         margin.
 
-        A flight misses the goal if it has too little thrust or time to correct the effect of a
-        gust. If flights miss the goal too often, the reserve of thrust, rotor speed and tilt grows
-        too. It grows in proportion to the fraction of flights that miss the goal, within bounds.
-        The same holds for flights that break a limit whose margin cannot grow any more.
+        For some limits, no margin can be increased. Examples are the limit on the distance from the
+        goal at the end, which has no margin, and limits whose margin is already the largest
+        possible. If flights break such a limit too often, the plan must leave a larger reserve of
+        thrust, rotor speed and tilt. A plan with a larger reserve is easier to follow in gusts. The
+        increase of the reserve is proportional to the fraction of flights that break the most
+        frequently broken of these limits. It is between a least and a largest increase.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -772,9 +782,11 @@ class MarginSearch:
     def _step_at_waypoints(self, name: str) -> float:
         """Return the least increase of the margin on a waypoint's radius or speed [m or m/s].
 
-        It is a part of the smallest radius or speed limit. The covariance may be no measure of it:
-        flights whose thrust is at its limit are farther from the plan than it predicts. `name` is
-        the scenario field of the margin.
+        `name` is the scenario field of the margin, which says whether the margin is on the radius
+        or on the speed. The result is the fraction `_SHARE_OF_PLACE` of the smallest radius or
+        speed limit of the waypoints. The increase does not depend on the covariance of flights,
+        because the covariance may be too small: vehicles whose thrust is at its limit deviate from
+        the plan by more than the covariance predicts.
         """
         waypoints, key = self._scenario.mission.waypoints, name.partition(".")[2]
         return _SHARE_OF_PLACE * min(size for w in waypoints if (size := getattr(w, key)))

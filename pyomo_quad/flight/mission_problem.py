@@ -300,9 +300,10 @@ class MissionProblem:
 
     @staticmethod
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
-        """Return the trajectory of another problem in the variables of this problem.
+        """Convert the solution of another problem to the variables of this problem.
 
-        `other` is a solution of the other problem, ``own`` a solution of this problem. Variables
+        The result is a trajectory that can serve as the initial guess of this problem. `other` is
+        the solution of the other problem, and ``own`` is any solution of this problem. Variables
         that the other problem lacks get their values from ``own``. An example is the battery's
         charge, which a minimum-time problem lacks. If the two problems differ in their static
         variables (variables that are constant in time), the static variables also get their values

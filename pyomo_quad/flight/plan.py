@@ -182,9 +182,9 @@ class PlanStatus(StrEnum):
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED, INFEASIBLE, INTERRUPTED
-        The solve did not converge, found that no flight keeps all limits, or was stopped. A mission
-        is called infeasible only if no route tried has a flight that keeps all limits, even on a
-        coarse mesh.
+        In this order: the solve did not converge; it found that no flight keeps all limits; it was
+        stopped. A mission is called infeasible only if no route tried has a flight that keeps all
+        limits, even on a coarse mesh.
     """
 
     VERIFIED = "verified"

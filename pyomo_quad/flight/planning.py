@@ -116,7 +116,8 @@ class Planner(Problems):
         First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
         durations that decrease towards the least duration. Each solve starts from the previous
         solution. The result is the plan of the shortest duration that a simulation confirms to the
-        requested accuracy. If no plan is confirmed, the result is the first plan.
+        requested accuracy. If no plan is confirmed, the result is the plan of the longest of these
+        durations, which was solved first.
 
         If the minimum-time problem cannot be solved, the mission is solved for the least energy
         instead. Its plan is returned with the status "not converged". Only this solve uses the

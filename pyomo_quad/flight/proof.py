@@ -111,8 +111,10 @@ def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowe
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by more than is tolerated.
 
     `scenario` gives the name of the mission for the error message. `verification` has the
-    violations of limits along the simulated flight. `allowed` has the tolerances; that on an
-    intrusion into a zone is not used, since the controls of a plan from a table are rounded.
+    violations of limits along the simulated flight. `allowed` has the tolerances. The tolerance
+    `intrusion` [m] on violations of zones, floor, ceiling and fence is not applied, because the
+    controls of a plan that was read from a table are rounded. The relative tolerance `breach`
+    applies to these limits, too.
     """
     figures = replace(allowed, intrusion=inf)
     for breach in beyond(verification.breaches, figures):

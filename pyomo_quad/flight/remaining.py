@@ -118,7 +118,8 @@ class Belief:
     """Estimates that a plan made in flight is based on: mass and acceleration by the air.
 
     `mass` is the mass of the vehicle with its payload at take-off [kg]. `unexplained` is the
-    horizontal acceleration that the air causes in addition to the assumed wind [m/s^2].
+    horizontal acceleration, along world x and y, that the air causes in addition to the effect of
+    the assumed wind [m/s^2].
     """
 
     mass: float
@@ -248,6 +249,8 @@ class Course:
 class Replanner:
     """Solver of the remaining mission in flight, with the present estimates of mass and wind.
 
+    Each solution is a re-plan: a new plan for the rest of the mission, made in flight.
+
     Parameters
     ----------
     scenario : Scenario
@@ -259,8 +262,9 @@ class Replanner:
         Planner that compiles the equations.
     margins : mapping, optional
         Scenario field -> amount by which its limit is tightened for the plan made before take-off.
-        Re-plans have the same margins, except on rotor speed and thrust: these limits are hard, so
-        that a re-plan would rather miss the goal than use the reserve.
+        Re-plans have the same margins, except that rotor speed and thrust have none. Their limits
+        are hard, while the goal is a soft condition. With margins on rotor speed and thrust, a
+        re-plan could therefore miss the goal, although the vehicle has enough thrust to reach it.
 
     Raises
     ------

@@ -410,6 +410,10 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
+    During the flight, the optimal control problem of the rest of the mission is solved again at
+    constant intervals. Each solution is a new plan, called a re-plan, which the vehicle then
+    follows.
+
     The flight is verified in parts, from one new plan to the next. Each part is simulated a second
     time, from the same state, along the same plan and with another integrator. The second
     simulation must end at the same place and spend the same energy.

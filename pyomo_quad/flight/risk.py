@@ -95,13 +95,21 @@ def plan_at_risk(
 
 
 def _with_faster_gains(plan: Plan) -> Plan:
-    """Return the plan for the same mission, flown by a controller with the faster gains."""
+    """Return a plan whose scenario has the faster gains of the controller, `FASTER_GAINS`.
+
+    The trajectory of the plan is unchanged. From the returned plan, a search for margins starts
+    anew for the faster controller.
+    """
     baseline = plan.scenario.baseline.model_copy(update={"gains": FASTER_GAINS})
     return replace(plan, scenario=plan.scenario.model_copy(update={"baseline": baseline}))
 
 
 def _for_faster_gains(plan: Plan) -> Plan:
-    """Return the plan with the changed gains of the controller in the record of its risk."""
+    """Return a plan made for the faster gains of the controller, with these gains on record.
+
+    The record is the attribute `risk.gains`: name of each gain of `FASTER_GAINS` that differs from
+    the default -> its value. A plan without a record of its risk is returned unchanged.
+    """
     if plan.risk is None:
         return plan
     usual = Gains().model_dump()

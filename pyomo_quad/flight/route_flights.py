@@ -231,13 +231,13 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys to solve on a finer mesh, the cheapest first.
+        """Return the largest number of journeys that are solved again on a finer mesh.
 
         A journey is a route for each leg of the mission. `error` is the relative error of the
-        energies on the present mesh. If it is greater than the energy tolerance of the mission, the
-        mesh cannot rank journeys of similar energy. The result is then `most`. Otherwise the
-        cheapest journey is enough, and the result is 1. No other journey can save more energy than
-        the tolerance.
+        energies on the present mesh. If `error` is greater than the energy tolerance of the
+        mission, the mesh cannot rank journeys of similar energy, and the result is `most`.
+        Otherwise the result is 1: only the cheapest journey is solved again, because no other
+        journey can save more energy than the tolerance.
         """
         return 1 if error <= self._tolerance else most
 
@@ -369,14 +369,16 @@ class RouteFlights:
         return self.fly(journey, pace)
 
     def _faster(self, flown: Solution) -> Solution:
-        """Solve again from a solution flown in less time, until that saves no more energy.
+        """Solve again from faster initial guesses along a solution, until the cost falls no more.
 
-        On a coarse mesh, a flight of free duration past the corners of zones has many local optima,
-        of different durations. In each of them, other collocation points lie beside the corners. A
-        solve from the same path in less time may end in another optimum. If that costs less, it
-        becomes the next start.
+        `flown` is the best solution so far, on the mesh on which journeys are compared. The result
+        is a solution on the same mesh that costs no more than `flown`.
 
-        `flown` is the best solution so far, on the mesh on which journeys are compared.
+        On a coarse mesh, a flight of free duration past the corners of zones has many local optima.
+        They differ in duration, and in which collocation points are nearest to the corners. Each
+        solve starts from the path of the best solution, flown in less time, and may end in another
+        local optimum. If the new solution costs less, it becomes the best solution, and the solves
+        are repeated from it.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
@@ -388,20 +390,26 @@ class RouteFlights:
         return best
 
     def fly_again(self, flown: Solution, share: float) -> Solution:
-        """Solve on the mesh of the comparison, from a solution flown in another time.
+        """Solve the mission again from the path of a solution, flown in another time.
+
+        The solve uses the mesh on which journeys are compared.
 
         Parameters
         ----------
         flown : Solution
             A solution of this mission, whose end time is free.
         share : float
-            Duration of the guess, relative to that of the solution.
+            Duration of the initial guess, relative to that of the solution.
         """
         guess, options = guess_from(flown, share), self._rough_options()
         return self._mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
 
     def _rough_options(self) -> SolverOptions:
-        """Return the options of solves that are only compared; see `ON_FIRST`."""
+        """Return Ipopt's options for the coarse solves with which journeys are compared.
+
+        The tolerance is the constant `ON_FIRST`. If the scenario allows no mesh refinement, the
+        options are those of the mission, because no more accurate solve follows.
+        """
         options = self._mission.arguments["options"]
         if self._scenario.solver.max_refinements > 0:
             options = replace(options, tolerance=ON_FIRST)
@@ -452,7 +460,7 @@ _DEARER = 0.01
 def promising(
     journeys: Sequence[Journey], cost_per_metre: Callable[[FloatArray], float]
 ) -> tuple[Journey, ...]:
-    """Return the journeys whose estimated cost is near the least.
+    """Return the journeys whose estimated cost is at most 1 % above the least estimated cost.
 
     A journey is a sequence of routes, one for each leg from one waypoint to the next.
 
@@ -530,7 +538,7 @@ def guess_along(
 
 
 def guess_from(flown: Solution, share: float) -> dict[str, Any]:
-    """Return the states of a solution, flown in another time, as an initial guess of a solve.
+    """Return the path of a solution with another duration, as an initial guess of a solve.
 
     Parameters
     ----------
@@ -543,8 +551,8 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
     -------
     dict
         "time" -> fractions of the horizon, shape (n,); name of a state -> its samples; "duration"
-        -> the end time [s]. The velocities are those of the same path in the other time; all other
-        states are those of the solution.
+        -> the end time [s]. The velocities are divided by `share`, because the same path is flown
+        in another time. All other states are those of the solution.
 
     Examples
     --------
@@ -604,10 +612,12 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 
     The result has one set of pairs (name of a zone, side) for each leg of the mission.
 
-    With these pairs the caller leaves out other journeys. A zone that the flight does not touch has
-    no effect on it: without this zone, the flight would still be a local optimum. If it is the only
-    optimum that passes the touched zones on these sides, no other journey on these sides is
-    cheaper; see docs/theory/routes.md, which says that this condition is not proven.
+    The caller does not solve another journey if it passes all touched zones on the same sides. The
+    reason is as follows. A zone that the flight does not touch has no effect on the flight: without
+    this zone, the flight would still be a local optimum. Suppose that the flight is the only local
+    optimum that passes the touched zones on these sides. Then no other journey that passes the
+    touched zones on these sides is cheaper. This assumption is not proven; see
+    docs/theory/routes.md.
 
     Parameters
     ----------

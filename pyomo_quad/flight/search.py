@@ -165,10 +165,11 @@ class Search:
         self._make_first = make_first
 
     def begin_apart(self, spent_s: float) -> None:
-        """Continue the search in a forked copy of the process, for some of its solves.
+        """Prepare this object for some solves of the search in a forked copy of the process.
 
-        The copy makes no first plan and shows no progress. `spent_s` is the processor time of the
-        search before the fork [s], because the clock of the copy starts at zero.
+        The copy calls this method before its solves. Afterwards, the object shows no progress, and
+        does not call the function set by `begin_with`. `spent_s` is the processor time of the
+        search before the fork [s]. It is added to the time of the copy, whose clock starts at zero.
         """
         self._make_first = self._show = None
         self._began = time.thread_time() - spent_s
@@ -356,19 +357,19 @@ class Search:
 
 
 def _is_optimised(plan: Plan | None) -> bool:
-    """Return whether there is a plan, and the plan was made from a solution."""
+    """Return whether a plan exists and was made from a solution of the optimal control problem."""
     return plan is not None and plan.is_optimised
 
 
 def as_usable(plan: Plan) -> Plan:
-    """Return a plan with status usable if simulation confirms it at lower accuracy than requested.
+    """Return a plan as usable if simulation confirms it at lower accuracy than requested.
 
-    The plan must meet two conditions. Its simulated flight must be within fixed tolerances, which
-    are the lower accuracy. An estimate of the energy that a better plan may save must be known. A
-    plan that does not meet both conditions is returned unchanged. A plan that is infeasible, or
-    that simulation has confirmed already, is also returned unchanged.
-
-    The message of the returned usable plan states the accuracy of the simulated flight.
+    The plan must meet two conditions. The first condition is that its simulated flight is within
+    the tolerances of a usable plan, `scenario.accuracy.USABLE`, which do not depend on the accuracy
+    requested. The second condition is that an estimate of the energy that a better plan may save is
+    known. If both hold, the result has the status `USABLE`, and its message states how closely the
+    simulated flight agrees with the plan. Otherwise the plan is returned unchanged. A plan that is
+    infeasible, or that simulation has confirmed already, is also returned unchanged.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan

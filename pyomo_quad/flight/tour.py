@@ -287,9 +287,9 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    The result has the legs between nearest places, the legs of the shortest order, and legs of many
-    different lengths. `lengths` has the lengths of all legs [m], infinite without a route, shape
-    (n_places, n_places).
+    The result has the legs from each place to its nearest places, the legs of the shortest order,
+    and legs of many different lengths. Legs without a route are left out. `lengths` has the lengths
+    of all legs [m], infinite without a route, shape (n_places, n_places).
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -406,8 +406,7 @@ class BestOrder:
             Collocation mesh of the solve.
         route : Route or None
             Route round the keep-out zones, from which the initial guess is made. Without a route,
-            the initial guess is a straight flight. The solution of another flight would be no
-            better guess.
+            the initial guess is a straight flight.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if route is not None:

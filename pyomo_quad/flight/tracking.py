@@ -259,9 +259,10 @@ class _Regulator:
 
 
 def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
-    """Return which times are within a span of time, as an array of booleans.
+    """Return which of n times are within at least one of several spans of time.
 
-    `times` has the times [s], and `rests` the start and end of each span [s], ends included.
+    `times` has the times [s], shape (n,). `rests` has the start and end of each span [s], which
+    belong to the span. The result is an array of booleans, shape (n,).
     """
     inside = [(times >= a - _SAME_S) & (times <= b + _SAME_S) for a, b in rests]
     return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)

@@ -47,8 +47,8 @@ def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
 
     Readers such as `pyulog` raise exceptions of many types for damaged logs. They also print
     errors; the printed text is suppressed. Errors of the file system and a lack of memory are not
-    converted. The message names the autopilot, `autopilot`, and the package of the reader,
-    `package`.
+    converted. `autopilot` is the name of the autopilot, and `package` the name of the reader's
+    package, for the messages.
     """
     try:
         with redirect_stdout(StringIO()):

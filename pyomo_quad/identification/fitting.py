@@ -141,7 +141,7 @@ class Identification:
     parameters : tuple of IdentifiedParameter
         Result for each field that was to be fitted.
     correlations : DataFrame
-        Correlations of the fitted parameters.
+        Correlation matrix of the fitted parameters; index and columns are the parameters' names.
     fitted_power : ndarray, shape (n_rows,)
         Computed power of each row by the fit to all flights [W].
     cross_validated : ndarray, shape (n_rows,)
@@ -203,7 +203,8 @@ class Fit:
     motion : LoggedMotion
         Motion of the flights, from which the power is computed.
     scenario : Scenario
-        Scenario with the vehicle before the fit: initial values, and all other fields.
+        Scenario with the vehicle before the fit. It gives the initial values of the fitted fields,
+        and the values of all other fields.
     names : sequence of str
         The n fields to fit, chosen from `FITTABLE`, the list of fields that can be fitted. They are
         the parameters of the least-squares problem.
@@ -328,7 +329,7 @@ class Fit:
 
         Returns
         -------
-        ndarray, shape (draws, n)
+        ndarray, shape (n_draws, n)
             Fitted values of the parameters, one row for each draw.
         """
         slopes = self.slopes(values)
@@ -435,7 +436,7 @@ def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Assign each row of a log to a time window over which the power is averaged.
+    """Assign each row of a log to a time window of 10 s, over which the power is averaged.
 
     No window spans two flights or two phases of a flight, such as take-off and cruise.
 
@@ -458,11 +459,12 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A change of a parameter alters the power. Changes of the other parameters can compensate a part
-    of this alteration. The parameter is undetermined if almost nothing of the alteration remains.
+    A change of one parameter changes the computed power. Changes of the other parameters can
+    compensate a part of this change in power. The parameter is undetermined if almost no change in
+    power remains after the best compensation.
 
-    The parameter with the smallest remaining alteration is removed first. The test is then repeated
-    with the parameters that are left, until all of them are determined.
+    Of all undetermined parameters, the one with the smallest remaining change in power is removed
+    first. The test is then repeated with the other parameters, until all of them are determined.
 
     Parameters
     ----------
@@ -489,11 +491,12 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude to assume for each parameter of a fit, in its own unit.
+    """Return a lower bound on the magnitude of each parameter, for the function `undetermined`.
 
-    The result has one entry for each parameter. The function `undetermined` changes each parameter
-    by a fraction of the parameter's magnitude. A parameter with the value 0 would not be changed at
-    all. The magnitude is therefore at least the number returned here.
+    The function `undetermined` changes each parameter by a fraction of the parameter's magnitude. A
+    parameter with the value 0 would not be changed at all. If the magnitude of a parameter is below
+    the bound, `undetermined` therefore uses the bound instead. The result has one bound for each
+    parameter, in the unit of the parameter.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -586,8 +589,9 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    To test the distance of the rows, the parameters are fitted to every second row. The rows are
-    too far apart if a parameter changes by more than two standard deviations and by more than 5 %.
+    To test the time between the rows, the parameters are fitted again, to every second row only.
+    The rows are too far apart if the second fit changes a parameter by more than two standard
+    deviations and by more than 5 %.
 
     Parameters
     ----------
@@ -650,8 +654,8 @@ def _parameters(
 def _base_source(scenario: Scenario, field: str) -> str:
     """Return in words the source of the value that a field of the vehicle had before the fit.
 
-    `field` is the field's name. For a vehicle of the library, the words are those of the vehicle's
-    file.
+    `field` is the field's dotted path, such as ``vehicle.drag_linear``. For a vehicle of the
+    library, the words are those of the vehicle's file.
     """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):
@@ -670,7 +674,7 @@ def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
     Returns
     -------
     mapping
-        Value of each field and the words for its source, by the field's name.
+        Value of each field, and the source of the value in words, by the field's name.
     """
     count = identification.frame[FLIGHT].nunique()
     return {

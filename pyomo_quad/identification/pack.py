@@ -2,10 +2,10 @@
 
 Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-validated by flight.
 
-This file has no formula of the battery. The model's equations simulate the battery alone under the
-measured power of all flights at once. The charge at the start of a flight follows from the voltage
-before the load. Each flight has its own pack, of its own age and temperature. The resistance of
-this pack follows from the first seconds under load.
+This file has no formula of the battery. The model's equations simulate the battery without the
+vehicle, under the measured powers of the flights. The charge at the start of a flight follows from
+the voltage before the motors load the pack. Each flight has its own pack, of its own age and
+temperature. The resistance of this pack follows from the first seconds under load.
 """
 
 from dataclasses import dataclass
@@ -149,7 +149,7 @@ class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
     The arrays `power` [W] and `voltage` [V per cell] have one row for each time and one column for
-    each flight. The rows of a flight begin at most a few seconds before the load.
+    each flight. The rows of a flight begin at most a few seconds before the motors load the pack.
 
     Parameters
     ----------
@@ -220,18 +220,18 @@ class Record:
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Select the rows that follow the first seconds under load.
 
-        The voltages in the first seconds under load determine the pack's resistance, so these rows
-        are excluded from the errors of the computed voltage.
+        The voltages in the first seconds under load determine the pack's resistance. The errors of
+        the computed voltage are therefore taken over the later rows only.
 
         Parameters
         ----------
         rows : ndarray of bool, shape (n_times, n_flights)
-            Rows to select from.
+            True for the rows from which to select.
 
         Returns
         -------
         ndarray of bool, shape (n_times, n_flights)
-            The selected rows.
+            True for the selected rows.
         """
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 

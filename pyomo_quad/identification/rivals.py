@@ -131,8 +131,8 @@ def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...
     Returns
     -------
     tuple of Measure
-        One comparison each for the energy of flights, for the power in a row (second) of the log,
-        and for the energy in each extrapolation.
+        One comparison for the energy of flights, one for the power in the rows of the log, and one
+        for the energy of flights in each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

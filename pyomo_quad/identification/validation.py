@@ -59,16 +59,16 @@ class Scores:
 
 @dataclass(frozen=True, kw_only=True)
 class Trial:
-    """Extrapolation test: errors of a fit to some flights on different flights.
+    """Extrapolation test: fit a model to some flights, and compute the energy of other flights.
 
     Attributes
     ----------
     name : str
         Kind of extrapolation, such as "heavy to light".
     fitted_on, tried_on : str
-        Payload or speed of the fitted flights, and of the flights that are computed.
+        Payload or speed of the flights in the fit, and of the other flights.
     scores : Scores
-        Errors on the flights that are computed.
+        Errors of the computed energies and powers of the other flights.
     """
 
     name: str

@@ -1,21 +1,21 @@
-"""The aerodynamic force on the airframe, in world axes, and its moments.
+"""The aerodynamic force on the vehicle along world axes, and its moments about body axes.
 
 The force is the sum of two parts. The first part follows one of two laws, which the scenario's
 `wind.coupling` selects:
 
-`acceleration` is eq. (9) of the paper (Yacef et al.) as printed. The wind velocity, times an
-implied coefficient of 1 1/s, is added to the acceleration of the vehicle. The vehicle's own
-velocity does not enter.
+`acceleration` is eq. (9) of the paper (Yacef et al.) as printed, which adds the wind velocity to
+the acceleration of the vehicle. For consistent units, the wind velocity has a coefficient of 1 per
+second, which the paper implies but does not print. The vehicle's own velocity does not enter.
 
 `drag` is an isotropic drag: the force is -(d_1 + d_2 abs(v)) v. The airspeed v is the velocity of
 the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
-`drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. It is the default
-for a vehicle that has a drag coefficient of any kind.
+`drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. `drag` is the
+default for a vehicle that has a drag coefficient of any kind.
 
 The second part is the same with both laws. It consists of forces along the body axes, which depend
 on the airspeed v in body axes and on the rotor speed omega. A vehicle with rotor drag and parasitic
-drag usually has no isotropic drag: d_1 and d_2 are then zero. The coefficients k_d, k_z, k_h and
-c_i are the vehicle's fields in the first column:
+drag usually has no isotropic drag: d_1 and d_2 are then zero. Each row of the table gives the
+vehicle's field that holds the coefficient (k_d, k_z, k_h or c_i), and the force:
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -102,9 +102,9 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `time`, `vehicle`, `rotors`, `wind`, and velocities and attitude
         in `rigid_body`.
     scenario : Scenario
-        Its `wind.coupling` says how the wind acts on the vehicle: through an isotropic drag, or as
-        the acceleration of eq. (9) of Yacef et al. The vehicle's coefficients say which forces
-        along the body axes are added.
+        Scenario whose field `wind.coupling` selects how the wind acts on the vehicle: through an
+        isotropic drag, or as the acceleration of eq. (9) of Yacef et al. Forces along the body axes
+        are added if the vehicle has a coefficient for them that is not zero.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -129,11 +129,11 @@ _ACCELERATION = units.m / units.s**2
 
 
 def declare_unexplained(m: ConcreteModel) -> None:
-    """Declare a constant horizontal acceleration that no other equation of the model explains.
+    """Add a constant horizontal acceleration, as a correction, to the motion of the vehicle.
 
     The acceleration is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A
-    planner in flight sets it to the observed minus the modelled acceleration. This difference is
-    not zero if the wind differs from the forecast.
+    planner in flight sets the parameter to the observed acceleration minus the modelled
+    acceleration. This difference is not zero if the wind differs from the forecast.
 
     Each horizontal force is replaced by a new expression of the same name: the force plus the mass
     times the unexplained acceleration. The old expression gets another name. A component that
@@ -175,12 +175,12 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return the wind forces of eq. (9) as Pyomo rules, with their documentation texts.
+    """Return Pyomo rule and documentation text of each wind force of eq. (9), by name.
 
     Eq. (9), as printed in the paper (Yacef et al.), adds the wind velocity, times a factor in 1/s,
-    to the acceleration of the vehicle. The wind force is the added acceleration times the mass. The
-    keys of the result are the names of the forces along the world axes: `force_x`, `force_y` and
-    `force_z`. `updraft` is the vertical wind over time, or None for a horizontal wind.
+    to the acceleration of the vehicle. The wind force is the added acceleration times the mass [N].
+    The names `force_x`, `force_y` and `force_z` stand for the forces along the world axes.
+    `updraft` is the vertical wind over time, or None for a horizontal wind.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -346,10 +346,9 @@ def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
     The sum along a body axis consists of the parasitic drag and of the drag and translational lift
-    of all rotors. Forces whose coefficients are all zero are left out. For the sum along a world
-    axis, these forces are rotated to world axes, and the force on the airframe is added. The force
-    on the airframe is the isotropic drag, or the wind force of eq. (9) of Yacef et al. The block
-    already has it.
+    of all rotors. Forces whose coefficients are all zero are left out. The sum along a world axis
+    consists of the same forces, rotated to world axes, and one more force along this axis: the
+    isotropic drag, or the wind force of eq. (9) of Yacef et al. The block already has this force.
 
     Parameters
     ----------

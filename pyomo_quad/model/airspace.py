@@ -1,6 +1,7 @@
 """The airspace: floor, ceiling, fence, edges of terrain and wind data, and keep-out zones.
 
-A keep-out zone is the intersection of one or more balls, which are explained after the table:
+A keep-out zone is a region that flights must avoid. A zone is the intersection of one or more
+balls. The text after the table says what a ball is.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -19,23 +20,25 @@ interval of height.
 A place is outside the zone if it is outside at least one of the balls, that is, if the largest of
 the d_k is positive. In the model, a smooth lower bound replaces this maximum. A place is allowed if
 the lower bound is not negative. Every place inside the zone is thus forbidden. Some places outside
-the zone are forbidden, too. They are near an edge of the zone, where two of the d_k differ by less
-than about w. Their distance from the zone is at most 0.14 w = 70 mm, and at the corners of a box at
-most 0.28 w = 140 mm. Elsewhere the forbidden places are exactly the zone. The clearance moves each
-face outwards by the distance c, and does not round the edges between the faces.
+the zone are forbidden, too. These places are near an edge of the zone, where two of the d_k differ
+by less than about w. Their distance from the zone is at most 0.14 w = 70 mm, and at the corners of
+a box at most 0.28 w = 140 mm. Away from the edges, the forbidden places are exactly the zone. The
+clearance moves each face outwards by the distance c, and does not round the edges between the
+faces.
 
 A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
-Near a corner of the prism, more than two of the d_k may be nearly equal. The distance 0.14 w given
-above then grows by up to 0.14 w for each d_k beyond the second.
+Near a corner of the prism, more than two of the d_k may be nearly equal. If j of them are nearly
+equal, the distance of a forbidden place from the zone is at most (j - 1) 0.14 w.
 
-The fence (`keep_in`) is a linear limit for each of its edges. The fence is exact everywhere,
-corners included, and has no clearance.
+The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
+edges gives a linear limit of the position. These limits are exact everywhere, corners included. The
+clearance does not apply to the fence.
 
 Over terrain, floor and ceiling limit the height above the ground, which the module `model.ground`
 declares. Flights stay within the edges of the terrain's grid, where the ground is known. In a wind
-field, flights stay within the edges of the field's grid. With `wind.beyond = "hold"`, the scenario
-extends the field beyond these edges, and the edges are no limit. Bottom and top of a zone are
-coordinates z, to which the height of the ground is not added.
+field, flights stay within the edges of the field's grid. If `wind.beyond` is "hold", the wind of
+the edge also blows outside of the grid, and flights may leave the grid. Bottom and top of a zone
+are coordinates z, to which the height of the ground is not added.
 
 `declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone. Even
 the smallest deviation from such a place towards the zone would be forbidden.
@@ -79,9 +82,9 @@ _TOUCHING_M = 5e-5
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `airspace`.
 
-    The parameters are numbers of floor, ceiling, fence, edges of terrain and wind data, and
-    keep-out zones. Each `Parameter` states name, unit and meaning of a number, and how its value
-    follows from a scenario.
+    The parameters define floor, ceiling, fence, edges of terrain and wind data, and keep-out zones.
+    Each `Parameter` states name, unit and meaning of a number, such as the height of the floor, and
+    how its value follows from a scenario.
     """
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
@@ -110,9 +113,11 @@ def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
 def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     """Return the edges of the wind field that a flight may not leave, by name.
 
-    Each value is a tuple: the axis (0 for x, 1 for y, 2 for z), the side (-1 for the lower end, 1
-    for the upper) and the coordinate of the edge on the axis [m]. The result is empty without a
-    field, and where the field is extended beyond its edges.
+    The names are "west", "east", "south" and "north", and for a field over heights also "bottom"
+    and "top". Each value is a tuple: the axis (0 for x, 1 for y, 2 for z), the side (-1 for the
+    lower end, 1 for the upper) and the coordinate of the edge on the axis [m]. The result is empty
+    if the scenario has no wind field, or if its field `wind.beyond` is "hold" (the wind of the edge
+    also blows outside of the grid).
 
     Parameters
     ----------
@@ -149,11 +154,13 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
-    A ball contains the places whose distance from its centre is at most its radius. A ball of one
-    axis is a slab between two parallel planes. A ball of two axes is a vertical cylinder. A ball
-    across an edge of a polygon is a slab between two vertical planes, which may have any horizontal
-    direction. The axes of such a slab are x and y. Its centre is the place midway between the
-    planes that is nearest to the origin.
+    A ball contains the places whose distance from its centre is at most its radius. The distance is
+    measured on one, two or three coordinate axes: the ball is then a slab between two planes, a
+    cylinder or a sphere.
+
+    A prism over a polygon also needs slabs across the edges of the polygon. These slabs lie between
+    two vertical planes of any horizontal direction. For such a slab, the returned axes are x and y,
+    and the returned centre is the place midway between the planes that is nearest to the origin.
 
     Returns
     -------

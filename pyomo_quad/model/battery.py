@@ -13,8 +13,10 @@ f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with b
 The module `battery_circuit` adds a slow voltage drop and a temperature of the pack if the scenario
 gives their constants. Derivation and sources: see docs/theory/battery.md, eqs. (1) to (6).
 
-P is the power of the chosen power model. The energy of the flight is therefore the energy that
-leaves the pack. Declared units convert the ampere-seconds of eq. (4) to ampere-hours.
+P is the total power by the chosen power model. The power balance V i = P states that the pack
+delivers this power at its terminals. The energy of the flight, the integral of P, is therefore the
+energy that leaves the pack. Eq. (4) gives the charge in ampere-seconds; the model converts it to
+ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, and an open-circuit voltage that does not depend
 on the temperature. Without the scenario's table `battery.relaxation`, the voltage does not recover
@@ -175,9 +177,10 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
-    The objective of these missions is the energy delivered plus the energy lost. This sum equals
-    the charge drawn times the open-circuit voltage at the start. See docs/theory/battery.md, eqs.
-    (11) to (12).
+    The energy lost is the integral of U_0 i - P, where U_0 is the open-circuit voltage at the start
+    of the flight, i the current and P the power delivered. The objective of these missions is the
+    energy delivered plus the energy lost. This sum is U_0 times the charge drawn in flight. See
+    docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -209,8 +212,8 @@ def declare_loss(m: ConcreteModel) -> None:
 def _declare_sizes(b: Block) -> None:
     """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health.
 
-    The state of health is a factor on the capacity and a factor on the resistance of new cells. `b`
-    is the block `battery`, which receives the two expressions.
+    The state of health consists of two factors: one multiplies the capacity of new cells, the other
+    their resistance. `b` is the block `battery`, which receives the two expressions.
     """
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel

@@ -100,13 +100,13 @@ def terrain_key(scenario: Scenario) -> Hashable:
 
     A home is the start of the mission or a rally point. If the scenario has terrain and keeps
     charge for a return flight, the model has a height table for each home. The table gives the
-    heights that clear the ground on the straight way to the home. Without height tables, the result
-    is None.
+    heights that clear the ground on the straight way to the home. The result is None for a model
+    without height tables.
 
     New parameter values do not change the tables of a compiled model. The compiled model is
-    therefore valid only for the homes with which it was built. The key that the function
-    `structure_key` returns includes the places of the homes. Scenarios with different homes
-    therefore have different keys.
+    therefore valid only for the homes with which it was built. The function `structure_key`
+    includes the result of this function in its key, so that scenarios with different homes do not
+    share a compiled model.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
@@ -175,10 +175,11 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare height, climb and length of a return flight over terrain, for each home and time.
 
-    On the return, the vehicle climbs to a height that clears the ground on the straight way to the
-    home. It then flies level, and descends at the home. The expression `height_home` is the height
-    of the level flight [m]. `climb` is the climb from the vehicle's height to `height_home` [m].
-    `way_flown` is the length of level flight and descent [m].
+    A home is the start of the mission or a rally point. On the return, the vehicle climbs to a
+    height that clears the ground on the straight way to the home. The vehicle then flies level, and
+    descends at the home. The expression `height_home` is the height of the level flight [m].
+    `climb` is the climb from the vehicle's height to `height_home` [m]. `way_flown` is the length
+    of level flight and descent [m].
 
     Parameters
     ----------

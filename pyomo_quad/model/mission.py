@@ -122,7 +122,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
     Each `Parameter` states name, unit and meaning of one number, and how the number follows from a
     scenario. The parameters are position and heading at start and goal, the conditions at waypoints
-    (such as radius, greatest speed and time of hover), and limits on the motion during a hover. A
+    (such as radius, greatest speed and duration of a hover), and limits on the motion in a hover. A
     mission with constant heading also has a limit on the yaw rate. A mission with a free duration
     also has the least duration, the greatest duration, and `price_of_time` [W], a factor on the
     duration in the objective.
@@ -191,9 +191,9 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare for each waypoint the time of its passage and the conditions at that time.
 
-    The conditions are on position, heading, speed and time of hover. A waypoint has only the
-    conditions that the scenario sets for it. Variables and conditions are added to `b`, the block
-    `mission` of the model `m`.
+    The conditions are on position, heading, speed and the duration of a hover. A waypoint has only
+    the conditions that the scenario sets for this waypoint. Variables and conditions are added to
+    `b`, the block `mission` of the model `m`.
     """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
@@ -342,11 +342,12 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return the two conditions at the goal on yaw (prescribed) and on yaw rate (zero).
+    """Return two constraints at the goal: yaw has its prescribed value, and body rate r is zero.
 
-    The conditions are constraints of `b`, the block `mission`. In a mission with constant heading,
-    the constraint `yaw_keeping` makes both conditions redundant, and they are deactivated. The
-    function `start_where_measured` deactivates `yaw_keeping` and activates both conditions again.
+    `b` is the block `mission`, which has the constraints. In a mission with constant heading, the
+    constraint `yaw_keeping` keeps the heading along the flight. The two constraints at the goal are
+    then redundant, and the caller deactivates them. The function `start_where_measured` deactivates
+    `yaw_keeping`, and therefore activates the two constraints again.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -422,7 +423,7 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 
 
 def end_in_equilibrium(m: ConcreteModel) -> None:
-    """Replace the level hover at the goal by steady hover in the wind, tilted against it.
+    """Replace the level hover at the goal by a steady hover that is tilted against the wind.
 
     Models for replanning in flight use this end condition. The level hover is not an equilibrium in
     wind, because the wind accelerates a level vehicle. A planned flight in wind can be level and at

@@ -38,7 +38,7 @@ v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
 v_p | in_plane_airspeed | m/s | airspeed across the thrust
 v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
 k_i | induced_power_factor | - | induced power over the power of an ideal rotor
-c_0 | profile_power_coefficient | - | profile power over T^(3/2) / sqrt(rho A) of one rotor
+c_0 | profile_power_coefficient | - | profile power in hover over T^(3/2) / sqrt(rho A)
 K | profile_advance_factor | - | growth of the profile power with the square of the advance ratio
 k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, in climb and in descent
 P_e | electronics_power | W | power drawn by all but the motors
@@ -52,9 +52,10 @@ The result is compared with the curve that Leishman (2006), eq. (2.96), fits to 
 descending rotors. v_i stays within 0.13 v_h of this curve down to v_a = -0.5 v_h, and within 0.4
 v_h down to v_a = -1.5 v_h. Beyond v_a = -1.66 v_h the air flows upwards through the rotor.
 
-Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with mu = v_p / (omega R). The profile
-power depends on the thrust and not on the rotor speed, so that c_0 is valid for any payload and
-density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
+Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with the advance ratio mu =
+v_p / (omega R) and the radius R of a rotor. The model computes P_0 for each rotor, with the thrust
+and disc area of that rotor. In hover, P_0 follows from the thrust alone, so that c_0 is valid for
+any payload and density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
 Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which the rotor stores, plus
 the copper loss of the torque I_r alpha.
@@ -218,8 +219,8 @@ def _power_of_each_rotor(
     """Return a decorator that declares a function as the power of each rotor, `power.<name>` [W].
 
     The decorated function is a Pyomo rule: it takes the block `power`, the rotor's number and the
-    time, and returns the power. The decorator adds it to the model `m` as an expression over rotors
-    and time. `name` is the name of this expression, `doc` its documentation text.
+    time, and returns the power. The decorator adds to the model `m` an expression over rotors and
+    time with this rule. `name` is the name of the expression, `doc` its documentation text.
     """
 
     def declare(rule: _RotorRule) -> _RotorRule:

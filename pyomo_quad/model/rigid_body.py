@@ -6,15 +6,17 @@ x', y', z' | vx, vy, vz | m/s | velocity in world axes
 phi, theta, psi | phi, theta, psi | rad | roll, pitch, yaw; yaw-pitch-roll order
 phi', theta', psi' | p, q, r | rad/s | body rates
 
-`vehicle.attitude` selects the relation between the angles and the body rates. `euler` is exact: it
-has the Euler rates of Beard and McLain (2012), eq. (3.3), singular at a pitch of 90 degrees. Its
-yaw balance includes the reaction of the body to the rotors' acceleration. `paper` has the paper's
-equations: the Euler rates equal the body rates, correct to first order in the tilt. Its yaw balance
-omits the reaction to the rotors' acceleration.
+`vehicle.attitude` selects the relation between the angles and the body rates, and the yaw balance:
 
-The gyroscopic terms of the rotors follow eq. (6). Eq. (9) prints them with another sign and another
-order of derivative. As in eq. (6), the force balances are not divided by the mass, and the moment
-balances are not divided by the moments of inertia.
+- `euler` is exact. The Euler rates are those of Beard and McLain (2012), eq. (3.3), singular at a
+  pitch of 90 degrees. The yaw balance includes the reaction of the body to the rotors'
+  acceleration.
+- `paper` has the equations of Yacef et al. The Euler rates equal the body rates, correct to first
+  order in the tilt. The yaw balance omits the reaction to the rotors' acceleration.
+
+The gyroscopic terms of the rotors follow eq. (6). Eq. (9) prints these terms with another sign and
+another order of derivative. As in eq. (6), the force balances are not divided by the mass, and the
+moment balances are not divided by the moments of inertia.
 """
 
 from collections.abc import Callable

@@ -293,7 +293,7 @@ class ModelInspection:
     states, other_variables : tuple of str
         Names of the states, and of all other functions of time (controls and algebraic variables).
     equations, path_limits : int
-        Number of equations, and number of inequalities, that hold at each time.
+        Number of equations, and number of inequalities, that hold at each time in flight.
     boundary_conditions, parameters : int
         Number of active constraints that hold at single times, and number of parameters that do not
         depend on time.

@@ -76,9 +76,9 @@ BREACHES = ("soft.most", "soft.above", "soft.below")
 def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
-    The penalty is the energy that lifts the vehicle by 300 m. It exceeds the Lagrange multipliers
-    of most limits. If the penalty exceeds the multipliers of all limits, a plan violates a limit
-    only if no flight can keep all limits.
+    A violation of one unit (such as 1 m) costs the energy that lifts the vehicle by 300 m. This
+    penalty exceeds the Lagrange multipliers of most limits. If the penalty exceeds the multipliers
+    of all limits, a plan violates a limit only if no flight can keep all limits.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 

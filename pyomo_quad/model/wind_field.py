@@ -118,10 +118,10 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 
 
 def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
-    """Return a coordinate, clipped smoothly to the range of a grid axis.
+    """Return a coordinate or time of the vehicle, clipped smoothly to the range of a grid axis.
 
-    `argument` is the coordinate as a Pyomo expression, `axis` the coordinates of the grid points,
-    and `unit` their Pyomo unit.
+    `argument` is the coordinate or time as a Pyomo expression. `axis` holds the values at the grid
+    points as numbers, and `unit` is their Pyomo unit.
     """
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit

@@ -29,7 +29,7 @@ _NO_FLOOR = -1e3
 
 
 class Reading(StrEnum):
-    """Interpretation of the efficiency f_r of Yacef et al. where it is small or negative.
+    """Interpretation of the efficiency f_r of Yacef et al. where f_r is small or negative.
 
     f_r is the efficiency of motor and rotor, a polynomial. `REGULARISED` limits torque and
     efficiency from below, and braking returns no energy. `LITERAL` uses the bare polynomial, and

@@ -31,8 +31,8 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 class Tolerance(NamedTuple):
     """Greatest relative difference at which a recomputed table of the report counts as reproduced.
 
-    The table, recomputed on another machine for example, is compared with the table in the
-    repository.
+    The study may be repeated, for example on another machine. Its tables are then compared with the
+    tables in the repository.
 
     Attributes
     ----------
@@ -171,14 +171,15 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 
 
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
-    """Return the bound on the rotor acceleration at which the least energy is the printed energy.
+    """Return the rotor-acceleration bound that yields the energy printed by Yacef et al. [rad/s²].
 
-    The printed energy is the energy that Yacef et al. print for their optimal flight. The least
-    energy of any flight depends on the bound on the absolute rotor acceleration. `study` holds the
-    least energy for several bounds. The result is interpolated between these bounds [rad/s²].
+    The least energy of any flight depends on the upper bound on the absolute rotor acceleration.
+    This function finds the bound for which the least energy equals the energy that Yacef et al.
+    print for their optimal flight. `study` holds the least energy for several bounds. The result is
+    interpolated between these bounds.
 
-    The least energies are computed with the efficiency f_r of motor and rotor as a bare polynomial.
-    The lower limits on torque and efficiency, which our model adds, are left out.
+    The least energies are computed with the efficiency f_r of motor and rotor of Yacef et al. as a
+    bare polynomial, without the lower limits on torque and efficiency that the package adds.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -232,10 +233,11 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Return the energy that the optimal flight of an experiment saves, for the report.
+    """Compare the energies of an experiment's optimal flight and controlled flight, for the report.
 
-    The optimal flight is compared with the adaptive controller's flight along a smooth reference
-    trajectory. f_r is the efficiency of motor and rotor of Yacef et al.
+    The controlled flight is the flight of the adaptive controller along a smooth reference
+    trajectory. The saving is the energy by which the optimal flight is cheaper. f_r is the
+    efficiency of motor and rotor in the paper of Yacef et al.
 
     Parameters
     ----------
@@ -247,9 +249,9 @@ def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     Returns
     -------
     dict
-        Table row of the comparison under the motors' electrical power: value of each column by its
-        name. The item `by_efficiency_percent` is added to the row: the saving under the power model
-        with f_r [percent].
+        Row of the report's table of comparisons, if the power is the motors' electrical power:
+        value of each column by its name. One more item, `by_efficiency_percent`, is the saving
+        [percent] if the power is computed with f_r.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

@@ -95,7 +95,7 @@ def rotor_map(
 
 
 def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
-    """Return the convex envelope of sampled functions at one place.
+    """Return the convex envelope (greatest convex lower bound) of sampled functions at one place.
 
     Parameters
     ----------
@@ -109,7 +109,8 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (...)
-        Least value at this place among all chords (straight lines) between two samples.
+        Value of the convex envelope of each function at `at`: the least value at this place among
+        all chords (straight lines) between two samples.
     """
     left, right = x <= at, x >= at
     width = x[right][None, :] - x[left][:, None]

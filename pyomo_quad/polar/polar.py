@@ -193,12 +193,13 @@ class Polar:
     curves : tuple of SteadyCurve
         Curve of each payload, the scenario's own payload first.
     winds : DataFrame
-        Best ground speed for each wind speed and each angle between course and wind.
+        Best ground speed for each wind speed and each angle between the course and the direction to
+        which the wind blows. The best ground speed has the least energy per metre over ground.
     reach : DataFrame
         Row for each course: the greatest distance at which the vehicle can turn back and still
         reach the start on the same battery charge. The wind is the scenario's mean wind.
     wind_m_s, wind_towards_rad : float
-        Speed of the mean wind, and direction to which the wind blows.
+        Speed of the mean wind, and direction to which the wind blows, counter-clockwise from x.
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
@@ -229,7 +230,8 @@ def find_polar(scenario: Scenario) -> Polar:
     Returns
     -------
     Polar
-        Curves of power, best speeds in wind, and reach.
+        Curves of power, best speeds in wind, and for each course the greatest distance from which
+        the vehicle returns on the same battery charge.
 
     Raises
     ------
@@ -344,7 +346,7 @@ def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
     wind : float
         Speed of the wind [m/s].
     towards : float
-        Direction to which the wind blows [rad].
+        Direction to which the wind blows, counter-clockwise from x [rad].
 
     Returns
     -------

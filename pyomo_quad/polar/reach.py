@@ -200,7 +200,7 @@ def _shares(
     curve : SteadyCurve
         Power and endurance over airspeed.
     winds : ndarray, shape (n_courses, n_steps, 2)
-        Wind at the places along each course [m/s].
+        Wind velocity along x and y at the places along each course [m/s].
     courses : ndarray, shape (n_courses, 1)
         Courses from x, counter-clockwise [rad].
     has_return : bool
@@ -238,8 +238,8 @@ def _share_per_metre(
     -------
     callable
         Function that gives the fraction per metre [1/m]; infinite where the wind is too strong for
-        the course. Its arguments are arrays: the wind speed [m/s], and the angle between course and
-        wind direction [rad].
+        the course. Its arguments are arrays: the wind speed [m/s], and the angle between the course
+        and the direction to which the wind blows [rad].
     """
     low, high = float(winds.min()), float(winds.max())
     count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)

@@ -1,7 +1,7 @@
 """Report of a vehicle's polar: tables, summary, figures and text.
 
-The figures show power over airspeed, best speeds over the direction of the wind, and the reach out
-and back on each course.
+The figures show power over airspeed, best speeds over the direction of the wind, and for each
+course the greatest distance from which the vehicle returns on the same battery charge.
 """
 
 from functools import partial
@@ -192,7 +192,8 @@ def draw_winds(polar: Polar) -> Figure:
     """Draw best ground speed and least energy per metre over the direction of the wind.
 
     The best ground speed is the speed with the least energy per metre over ground. Each curve is
-    one wind speed. The angle is between the course and the direction of the wind.
+    one wind speed. The horizontal axis is the angle between the course and the direction to which
+    the wind blows.
     """
     figure, (left, right) = full_width(3.3, (1, 2), top=0.9, bottom=0.26, wspace=0.25)
     speeds = polar.winds[WIND].unique().tolist()

@@ -73,7 +73,8 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
 
     A campaign repeats missions on one or more battery charges. For each charge, the dictionary
     holds the number of flights and the reason why no further flight was possible. The dictionary
-    also holds the total duration [s] and energy [J], and the complete scenarios of the missions.
+    also holds the total duration [s] and energy [J] of all flights, the wall time of each solve,
+    the package's version, and the complete scenarios of the missions.
     """
     plans = [flight.plan for flight in campaign.flights]
     return {

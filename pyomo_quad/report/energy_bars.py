@@ -77,7 +77,8 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
 
     The bars show the energy above hovering: the energy of the flight less the energy of hovering
     for the same time. If the flights of a scenario differ in duration, their energies above
-    hovering cannot be compared. All bars then show the total energy.
+    hovering cannot be compared. If this is true for any scenario of the table, all bars in all
+    panels show the total energy.
 
     All panels have the same energy scale. The energy of a flight that ends near the goal includes
     an estimate of the energy to the exact goal state. The bars of flights that did not reach the

@@ -458,7 +458,11 @@ _LEG_ROW = 0.2  # inches
 
 
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
-    """Draw the speed of flights over path length, and the plan's energy from waypoint to waypoint.
+    """Draw the speed of flights over path length, and the plan's energy on each leg of the mission.
+
+    A leg is the flight from one waypoint to the next; start and goal count as waypoints. A second
+    panel has one bar for the energy of each leg and of each hover at a waypoint. This panel is left
+    out for a mission without waypoints.
 
     Parameters
     ----------

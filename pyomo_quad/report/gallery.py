@@ -266,7 +266,7 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
 
 
 def drawings_of_solve(plan: "Plan") -> tuple[Drawing, ...]:
-    """List the figures in the report of a plan without baseline flights."""
+    """List the figures in the report of a plan that is not compared with other flights."""
     return plan_drawings(plan, styled_flights([plan_flight(plan)]))
 
 

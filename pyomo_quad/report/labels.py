@@ -45,10 +45,11 @@ class Label:
 
 
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
-    """Print labels into a panel, each beside its point where it covers the least.
+    """Print labels into a panel, each beside its point, where it hides as little as possible.
 
-    If possible, a label covers no other label and no labelled point. Among such places, the place
-    that covers the fewest points of curves is chosen. The limits of the axes must be final.
+    If possible, a label covers no other label and no labelled point. Among the places that satisfy
+    this condition, a label gets the place where it covers the fewest points of curves. The caller
+    must not change the limits of the axes afterwards.
 
     Parameters
     ----------

@@ -302,11 +302,11 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """Physically impossible climb: it adds more energy than the flight uses above hovering.
+    """Climb that is impossible: its potential energy exceeds the flight's energy above hovering.
 
-    The climb adds potential energy. Energy above hovering is the energy of the flight less the
-    energy of hovering for the same time. A plan can contain such a climb if the power model does
-    not depend on the airspeed. The report warns of the climb.
+    The energy above hovering is the energy of the flight less the energy of hovering for the same
+    time. A plan can contain such a climb if its power model does not depend on the airspeed, and
+    therefore omits the power of climbing. The report warns the user of the climb.
 
     Attributes
     ----------
@@ -535,7 +535,7 @@ def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator
     Parameters
     ----------
     listed : callable
-        Function with the module `gallery` as its argument. It calls a function of `gallery`, and
-        returns the figures.
+        Function that takes the module `gallery` and returns the figures, such as
+        ``lambda gallery: gallery.drawings_of_solve(plan)``.
     """
     yield from listed(_gallery())

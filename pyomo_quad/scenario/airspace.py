@@ -420,8 +420,9 @@ class TerrainGrid(Part):
         Parameters
         ----------
         side : int
-            1 for a surface that is nowhere below the ground, for the floor (least height); -1
-            for a surface that is nowhere above the ground, for the ceiling (greatest height).
+            1 for a surface that is nowhere below the ground, from which the floor (least
+            allowed height) is measured. -1 for a surface that is nowhere above the ground, from
+            which the ceiling (greatest allowed height) is measured.
         """
         return _surface(self, side)
 

@@ -186,13 +186,13 @@ def quantity(
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether earlier versions of the package lacked the field. A record is a stored scenario. A
-        record without such a field is read with the field's default. A new record is written
-        without such a field if the value is the default.
+        Whether earlier versions of the package lacked the field. A stored scenario without such a
+        field is read with the field's default. When a scenario is stored, such a field is left out
+        if its value is the default.
     initial : object, optional
-        Value that the field gets if a scenario file leaves the field out. A record (stored
-        scenario) without the field still gets the default. If `initial` is not given, scenario
-        files get the default, too.
+        Value that the field gets if a scenario file leaves the field out. A stored scenario without
+        the field gets the default instead. If `initial` is not given, the field gets the default in
+        both cases.
     unit_keys : mapping, optional
         Further keys of the field in a file, for other units. The value of a key is the factor from
         the key's unit to `unit`.

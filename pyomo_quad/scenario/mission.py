@@ -105,9 +105,9 @@ class Waypoint(Part):
 class ReturnFlight(Part):
     """Steady return flight to a landing place, for which a plan must keep battery charge.
 
-    The table states the charge to keep in addition to the charge that the return takes (as a
-    fraction of the latter), and the airspeed, the rate of climb over terrain, and the battery
-    current in level flight and in climb.
+    The table states an extra charge to keep, as a fraction of the charge that the return takes. It
+    also states the airspeed, the rate of climb over terrain, and the battery current in level
+    flight and in climb.
     """
 
     margin: Number = quantity(
@@ -276,6 +276,7 @@ class Mission(Part):
         A leg is the flight from one place (start, waypoint or goal) to the next. Each place with a
         prescribed time is reached on time. For this purpose, the durations of all legs between two
         prescribed times are multiplied by a common factor. The start counts as a prescribed time.
+        Legs after the last prescribed time keep their desired durations.
 
         Parameters
         ----------

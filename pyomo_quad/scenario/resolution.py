@@ -401,17 +401,16 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield an error message for each number of a library file that is not written as allowed.
+    """Yield an error message for each number of a library file that has a wrong notation.
 
-    A number may stand alone. Otherwise it stands in a table with no other keys than `value` and
-    `source`.
+    A number may stand alone, or in a table that has only the keys `value` and `source`.
 
     Parameters
     ----------
     table : mapping
         Part of the file to check, with all nested tables.
     place : tuple of str
-        Path of `table` in the file, from which the messages name each key.
+        Path of `table` in the file. Each message gives the full path of a key in the file.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -784,10 +783,9 @@ class _Filled:
         A stored, complete scenario may already contain the heights. The file is then not read
         again.
 
-        The function also sets the floor, `airspace.floor`, if it is missing. The floor is the least
-        allowed height above the ground. Its value becomes the clearance, `airspace.clearance`,
-        which is the least allowed distance from keep-out zones. If the clearance is missing, too,
-        the floor becomes 0.
+        The floor, `airspace.floor`, is the least allowed height above the ground. If it is missing,
+        the function sets it equal to the clearance, `airspace.clearance`, which is the least
+        allowed distance from keep-out zones. If both are missing, the floor is set to 0.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -912,7 +910,7 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the name of a vehicle file's battery pack, as seen from the folder of the scenario.
+    """Return the library name of a vehicle file's battery pack, or the path of the pack's file.
 
     Parameters
     ----------
@@ -925,7 +923,8 @@ def _beside(file: str, pack: str) -> str:
     Returns
     -------
     str
-        The unchanged name of the library, or the file relative to the folder of the scenario.
+        For a pack of the library its unchanged name; for a file its path relative to the folder of
+        the scenario.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 

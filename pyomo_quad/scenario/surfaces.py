@@ -287,9 +287,9 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return one value for each spline coefficient: the greatest value of certain cells.
+        """Return, for each spline coefficient, the greatest value of the cells that it influences.
 
-        These are the cells in which the spline depends on the coefficient.
+        A coefficient influences a cell of the grid if the spline in this cell depends on it.
 
         Parameters
         ----------

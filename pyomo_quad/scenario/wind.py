@@ -402,9 +402,11 @@ class Wind(Part):
         return self
 
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
-        """Yield an error message if the wind field has no wind at a place at any time.
+        """Yield an error message if the wind at a place is missing at all times of the wind field.
 
-        The wind is missing outside the grid of the field, and where the file has no value.
+        The wind is missing outside the grid of the field, and where the file has no value. Nothing
+        is yielded without a wind field, or if a missing wind is replaced by the nearest known wind
+        (`wind.beyond` is "hold").
 
         Parameters
         ----------

@@ -3,8 +3,8 @@
 The plans of the missions are flown by the package's own vehicle model (the "declared" vehicle) and
 by RotorPy's vehicle. Each plan is flown with the package's controller and without feedback, and in
 RotorPy also with RotorPy's controller SE3. RotorPy's model differs from the package's model in
-several features. Each feature is switched on or off alone, to find its contribution to the
-difference between the flights.
+several features. For example, its rotors cause no gyroscopic moment. Each feature is switched on or
+off alone, to find its contribution to the difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -85,8 +85,7 @@ class Plant(StrEnum):
 
     `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation, set so that its
     equations are those of the package's model. `AS_IT_COMES` is RotorPy's simulation with RotorPy's
-    own defaults.
-    Each further member differs from `ROTORPY` in the feature that its value names.
+    own defaults. Each further member differs from `ROTORPY` in the feature that its value names.
     """
 
     DECLARED = "declared"

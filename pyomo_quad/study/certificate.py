@@ -429,7 +429,8 @@ def _bound_as_a_whole(
         Total power as a function of the total thrust, all rotors at one constant speed.
     why_not_by_legs : str
         Reason why the function `_bound_by_legs` gives no bound, from `_why_not_by_legs`. The
-        returned text contains this reason.
+        returned text contains this reason if the mission has waypoints that the bound ignores, or
+        if there is no bound because the duration is free or the mass changes in flight.
 
     Returns
     -------

@@ -375,7 +375,8 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
     A solve is late if it took longer on this machine than the scenario's ``solve_time``, the time
     allowed for a solve. The table also counts the solves that took longer than the interval to the
     next solve. Both counts use the measured times of the solves. In the simulated flight each new
-    plan takes effect after a delay. The delay is the measured time of the solve or ``solve_time``.
+    plan takes effect after a delay. The attribute `clock` of `settings` selects the delay:
+    the measured time of the solve, or ``solve_time``.
 
     Parameters
     ----------

@@ -157,7 +157,11 @@ class Ensemble(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Number of flights, share of successes, energy, and the limit broken most often."""
+        """Summary of the flights, as a mapping from the name of a result to its value as text.
+
+        The results are the name of the scenario, the number of flights, the share of successes, the
+        energy, and the limit broken most often.
+        """
         low, middle, high = self.band("energy_J")
         most = next(iter(self.broken.items()), None)
         return {
@@ -169,7 +173,11 @@ class Ensemble(Summarised):
         }
 
     def table(self) -> "pd.DataFrame":
-        """Return the results of the flights as a table with one row per flight."""
+        """Return the results of the flights as a table with one row per flight.
+
+        The columns are the number of the flight, its results (attributes of `Ending`, such as the
+        energy), whether it succeeded, and the limits that it broke.
+        """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
         endings = self.flown.endings

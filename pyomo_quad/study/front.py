@@ -1,9 +1,9 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
 Each point of the front is a flight that minimises energy + price * duration. The price of time [W]
-is a weight: the mission sets one price, and this study uses other prices, too. No other flight is
-both shorter and cheaper than a flight of the front. Where the least energy is convex in the
-duration, each price selects one flight, and the slope of the front at this flight is minus the
+is a weight: the mission sets one price, and this study uses other prices, too. No other flight
+takes both less time and less energy than a flight of the front. Where the least energy is convex in
+the duration, each price selects one flight, and the slope of the front at this flight is minus the
 price.
 """
 

@@ -16,9 +16,9 @@ P* | conjugate of the power: maximum of price of thrust times thrust minus power
 A_k, G_k | terms of the bound, J s and W, defined below
 
 With the acceleration a, the thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any
-price p of the thrust. With p = y / m_k the term p . m_k a is integrated by parts. Its boundary
-terms vanish at rest. They cancel at the passages, because neither velocity nor y jumps there. So
-every flight spends at least
+price p of the thrust. With p = y / m_k the term p . m_k a is integrated by parts. The boundary
+terms vanish at start and goal, where the vehicle is at rest. They cancel at the passages, because
+neither velocity nor y jumps there. So every flight takes at least the energy
 
 sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
 G_k = mean over the leg of p . s_k - P*(|p|).
@@ -258,7 +258,7 @@ class Itinerary:
             these prices of velocity at the ends of the legs: `price` times the mass at the start of
             the flight, minus a positive factor times the position relative to the start of the
             flight. On each leg, the price of velocity then changes in the direction opposite to the
-            displacement. Every A_k is therefore positive, and the bound is finite.
+            displacement. The terms A_k of the sum are therefore positive, and the bound is finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -298,9 +298,10 @@ class Itinerary:
         return -bound, -np.tensordot(weights, slopes, 1).ravel()
 
     def _by_group(self) -> list[NDArray[np.bool_]]:
-        """Return for each group of legs a mask that selects its legs.
+        """Return, for each group of legs, a mask that selects the legs of the group.
 
-        A group consists of the legs between two fixed times. Each mask has the shape (n_legs,).
+        A leg is the flight from one waypoint to the next. A group consists of the legs between two
+        fixed times. Each mask has the shape (n_legs,).
         """
         return [self._groups == k for k in range(len(self._shared))]
 
@@ -320,6 +321,9 @@ def _least_over_times(
     gained: FloatArray, spent: FloatArray, least: float, greatest: float
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
+
+    A leg is the flight from one waypoint to the next. A group consists of the legs between two
+    fixed times.
 
     This sum is the group's part of the lower bound on the energy of a flight. A_k follows from the
     displacement of leg k, and G_k from the thrust that holds the vehicle still; the docstring of

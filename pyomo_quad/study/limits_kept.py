@@ -31,9 +31,9 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     Limits are those of the scenario, such as the largest speed. Each sentence names the limits that
     its flight breaks. If no flight breaks a limit, a single sentence says so.
 
-    The scenario permits a share of the flights in turbulence, the risk of the plan, to break
-    limits. Each sentence therefore also says whether its flight may be one of this share. It may if
-    two conditions hold:
+    The scenario permits a share of the plan's flights in turbulence to break limits. This share is
+    the risk of the plan. Each sentence therefore also says whether its flight may belong to this
+    share. A flight may belong to the share if two conditions hold:
 
     - The flight is under feedback: a controller tracks the plan, or the plan is solved again during
       the flight with the actual wind known or estimated.

@@ -51,7 +51,8 @@ no less than the convex envelope of the profile power. This envelope is then the
 origin to the curve of the profile power. The tangent lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the
 profile power.
 
-The mass may change at a waypoint. The products m p and m eta are the same on all legs.
+The mass may change at a waypoint. A leg is the flight from one waypoint to the next. The products
+m p and m eta are the same on all legs.
 """
 
 from __future__ import annotations
@@ -371,7 +372,7 @@ class Pairs:
         return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
-        """Convert the prices of one leg to the motion through the air in one wind.
+        """Convert the prices on one leg into prices for the motion through the air in one wind.
 
         `prices` are the Lagrange multipliers of the changes of momentum, position and kinetic
         energy on the leg. `wind` is the wind that blows, shape (3,) [m/s]. Let U be the middle of
@@ -387,7 +388,7 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Search by sampling for the least value of H, and for the pairs of its local minima.
+        """Search by sampling for the least value of H, and for the pairs at its local minima.
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
         momentum, position and kinetic energy of the vehicle, each times its price. A price is the
@@ -461,10 +462,12 @@ class Pairs:
     def samples(self) -> FloatArray:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
-        The rows are: thrust [N]; force of the air along and across the thrust [N]; power [W];
-        airspeed along and across the thrust [m/s]. The pairs lie on a grid over the range of their
-        three coordinates. Pairs whose thrust is much larger or smaller than the thrust of hover are
-        left out, because cheap flights do not have them.
+        A pair is a combination of thrust and airspeed. The rows are: thrust [N]; force of the air
+        along and across the thrust [N]; power [W]; airspeed along and across the thrust [m/s]. The
+        pairs lie on a grid over their three coordinates: rotor speed (induced velocity for the
+        power model `momentum`), airspeed along the thrust and airspeed across the thrust. Pairs
+        whose thrust is much larger or smaller than the thrust of hover are left out, because they
+        do not occur in flights of little energy.
         """
         sides = self._edges()
         axes = [np.linspace(a, b, count) for (a, b), count in zip(sides, _COARSE, strict=True)]
@@ -521,7 +524,7 @@ class Pairs:
     def _rows(
         self, at: FloatArray, prices: MotionPrices, mass: float, wind: FloatArray
     ) -> list[FloatArray]:
-        """Return power and derivatives of H for a pair of thrust and airspeed, and rotated copies.
+        """Return power and derivatives of H for a pair of thrust and airspeed, and for its copies.
 
         H is the power of a pair minus the rates at which the pair changes momentum, position and
         kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total

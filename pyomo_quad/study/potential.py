@@ -273,7 +273,7 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 
 
 class Sampled:
-    """Approximation of the function G by its least value over samples.
+    """Approximation of the function G by a least value over samples of pairs.
 
     A pair is a combination of thrust and airspeed. G is a least value over all pairs. The minimised
     quantity is the power of a pair in still air minus three terms: the rates at which the pair
@@ -375,8 +375,8 @@ class Places:
         gradients : ndarray, shape (4 * n_cells, n, 2)
             Vertices of polygons in the plane of the gradient [N], n for each polygon. In each cell
             of the grid that a flight may enter, the gradient of the potential must lie inside four
-            polygons. There is one polygon for each of the four winds in the attribute `corners` of
-            the cell. The polygons are ordered cell by cell.
+            polygons: one for each corner of the rectangle of winds in the cell (attribute
+            `corners`). The polygons are ordered cell by cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -503,14 +503,15 @@ class _Search:
         return self._places.rise(gradients) + prices.climb * self._places.climb + spent
 
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
-        """Return prices with the `power` that gives the largest approximate bound on the energy.
+        """Return prices with the price of time that gives the largest approximate lower bound.
 
-        The bound is a sum of three terms: the rise of a potential from start to goal, a term for
-        the height, and `power` times the duration. A larger `power` allows only smaller gradients
-        of the potential. `prices` are the Lagrange multipliers in the bound, with the attribute
-        `power` zero; only this attribute is changed. The duration counts as free if the least
-        duration is less than half the greatest duration; `power` then remains zero. The result is
-        None if the multipliers give no bound.
+        The bound on the energy is a sum of three terms: the rise of a potential from start to goal,
+        a term for the height, and the price of time times the duration. A potential is a function
+        of the horizontal place. A larger price of time allows only smaller gradients of the
+        potential. `prices` are the Lagrange multipliers in the bound. Their attribute `power` is
+        the price of time, which is zero on entry; only this attribute is changed. If the least
+        duration is less than half the greatest duration, the duration counts as free, and the price
+        of time remains zero. The result is None if the multipliers give no bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())

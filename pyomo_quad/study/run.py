@@ -102,7 +102,11 @@ class RunResult(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Scenario, status, energies of the flights and lower bound, as text."""
+        """Summary of the run, as a mapping from the name of a result to its value as text.
+
+        The results are the name of the scenario, the status of the plan, the energy of each flight,
+        the lower bound on the energy and, with turbulence, the share of flights that succeed.
+        """
         bound = self.certificate.lower_bound_J
         return {
             "scenario": self.scenario.name,

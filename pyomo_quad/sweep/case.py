@@ -1,8 +1,9 @@
 """Solution of one case of a sweep: the worker's input, the solve, and the output columns.
 
 A case is one variant of the sweep's base scenario, with its own values of the fields that vary. A
-worker receives a `CaseTask`. It plans the case's flight, or flies an existing plan in the case's
-scenario. It returns a `CaseOutcome`, the row of the case in the sweep's result table.
+worker receives a `CaseTask`. The worker plans the case's flight, or simulates a controller that
+tracks the base scenario's plan in the case's scenario. The worker returns a `CaseOutcome`, the row
+of the case in the sweep's result table.
 """
 
 import importlib
@@ -34,10 +35,10 @@ LARGEST_OUTPUT = 1e15
 
 
 class StudyTask(StrEnum):
-    """Task of a sweep for each case: plan the flight of the case, or fly the plan of the base case.
+    """Task of a sweep for each case: plan the case's flight, or fly the base scenario's plan.
 
-    `OPTIMISE` plans the minimum-energy flight of each case. `FLY_PLAN` plans the base case only,
-    and the controller tracks this plan under the changed conditions of each case.
+    `OPTIMISE` plans the minimum-energy flight of each case. `FLY_PLAN` plans the flight of the base
+    scenario only, and the controller tracks this plan under the changed conditions of each case.
     """
 
     OPTIMISE = "optimise"
@@ -47,8 +48,8 @@ class StudyTask(StrEnum):
 class CaseStatus(StrEnum):
     """Outcome of a case of a sweep.
 
-    `FINISHED`: solved and verified. `FAILED`: the solve or its verification failed. `LOST`: the
-    worker process died while it solved the case; a resumed sweep solves the case again.
+    `FINISHED`: solved, and verified by simulation. `FAILED`: the solve or the verification failed.
+    `LOST`: the worker process died while it solved the case; a resumed sweep solves the case again.
     """
 
     FINISHED = "finished"
@@ -75,7 +76,7 @@ class CaseTask:
     base : str
         The complete base scenario of the sweep as JSON text.
     task : StudyTask
-        Whether to plan the case's flight or to fly the base case's plan.
+        Whether to plan the case's flight or to fly the base scenario's plan.
     baselines : tuple of Reference
         Reference trajectories that the controller tracks in each case, for comparison with the
         plan.
@@ -152,7 +153,7 @@ class CaseOutcome:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the case was solved and verified."""
+        """Whether the case was solved, and verified by simulation."""
         return self.status is CaseStatus.FINISHED
 
     @classmethod
@@ -260,9 +261,10 @@ _ERROR_DIGITS = 2
 class _Flown:
     """Flight of a sweep's case, with its plan and scenario.
 
-    `plan` is the plan that is flown: the plan of the case, or the plan of the base case if all
-    cases fly this one. `scenario` is the scenario of the case. The output columns of the sweep are
-    computed from the properties of this class.
+    `plan` is the plan of the case, or the base scenario's plan if all cases fly that plan. `flight`
+    is a flight of this plan, or a flight along another reference trajectory, for comparison.
+    `scenario` is the scenario of the case. The output columns of the sweep are computed from the
+    attributes and properties of this class.
     """
 
     flight: Flight
@@ -281,7 +283,7 @@ class _Flown:
 
         The available charge is that between the initial and the lowest permitted state of charge.
         Every flight is assumed to use as much charge as the first. In truth the battery voltage
-        falls, and the number is slightly smaller.
+        falls, later flights use more charge, and the number is slightly smaller.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -297,9 +299,9 @@ class _Flown:
     def saved(self) -> float:
         """Energy saving of the plan compared with this flight, as a fraction.
 
-        For this property the flight is simulated under the controller along a reference trajectory
-        that the sweep lists for comparison, such as a smooth path. The saving is 1 - (energy of the
-        plan) / E. E is the energy of the flight plus the estimated energy that the vehicle still
+        The property is used for flights of the controller along a reference trajectory that the
+        sweep lists for comparison, such as a smooth path. The saving is 1 - P / E. P is the energy
+        of the plan. E is the energy of the flight plus the estimated energy that the vehicle still
         needs from the end of the flight to the exact goal state. The saving is NaN if the flight
         did not arrive, if it broke a limit, or if the energy still needed is unknown. A flight has
         arrived if it ends at the goal and nearly at rest, as the function `has_arrived` decides.
@@ -377,9 +379,10 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
     Parameters
     ----------
     task : StudyTask
-        Whether each case is planned, or flies the base case's plan.
+        Whether each case is planned, or flies the base scenario's plan.
     baselines : iterable of Reference
-        Reference trajectories that the controller also flies; each adds its own columns.
+        Reference trajectories that the controller also flies if each case is planned; each adds
+        its own columns.
     """
     if task is StudyTask.FLY_PLAN:
         return tuple(_OF_A_PLAN_FLOWN)
@@ -390,16 +393,16 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
 def unknown_column(
     names: Iterable[str], task: StudyTask, baselines: Iterable[Reference]
 ) -> str | None:
-    """Return the first of the given names that is not an output column of the sweep.
+    """Return the first of some names that is not an output column of the sweep.
 
     Parameters
     ----------
     names : iterable of str
         Column names that a study file asks for.
     task : StudyTask
-        Whether each case is planned, or flies the base case's plan.
+        Whether each case is planned, or flies the base scenario's plan.
     baselines : iterable of Reference
-        Reference trajectories that the controller also flies.
+        Reference trajectories that the controller also flies if each case is planned.
 
     Returns
     -------
@@ -422,7 +425,7 @@ def _read(
     flight : Flight
         Flight of the case.
     plan : Plan
-        Plan of the case, or of the base case if the case flies the base case's plan.
+        Plan of the case, or the base scenario's plan if the case flies that plan.
     scenario : Scenario, optional
         Scenario of the case; by default the scenario of the plan.
 
@@ -468,7 +471,7 @@ def unpack(packed: bytes) -> WarmStart | None:
 
 
 def solve_case(task: CaseTask) -> CaseResult:
-    """Solve one case of a sweep: plan its flight, or fly the base case's plan in its scenario.
+    """Solve one case of a sweep: plan its flight, or fly the base scenario's plan.
 
     All sweeps that the commands run use this function as their case solver. The function keeps its
     planner from case to case, so that the compiled model is used again.
@@ -510,12 +513,12 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Simulate a controller that tracks the base case's plan in the scenario of a sweep's case.
+    """Simulate a controller that tracks the base scenario's plan in the scenario of a sweep's case.
 
     `task` is the input of the case, with the base scenario of the sweep; `scenario` is the scenario
     of the case. The result holds the output columns of the flight. The case fails if the base
-    case's plan is not verified, or if two integrators disagree on the flight. The result then holds
-    the reason.
+    scenario's plan is not verified, or if two integrators disagree on the flight. The result then
+    holds the reason.
     """
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)
@@ -532,7 +535,7 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 @dataclass
 class _Bench:
-    """Planner and base case's plan that one worker of a sweep keeps from case to case.
+    """Planner and base scenario's plan that one worker of a sweep keeps from case to case.
 
     The planner keeps the compiled model, so that later cases need not compile the model again. A
     thread of the worker must hold the attribute `lock`, a mutex, while the thread uses the planner
@@ -559,7 +562,7 @@ class _Bench:
         return self.planner.solve(scenario)
 
     def base_plan(self, base: Scenario, text: str) -> Plan:
-        """Return the plan of the sweep's base case, solved at the first call and cached.
+        """Return the plan of the sweep's base scenario, solved at the first call and cached.
 
         Parameters
         ----------

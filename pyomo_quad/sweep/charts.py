@@ -1,4 +1,4 @@
-"""Charts of a parameter sweep: curves, Pareto fronts, heat maps, wind roses, tornadoes, histograms.
+"""Charts of a sweep: curves, Pareto fronts, heat maps, wind roses, tornado charts, histograms.
 
 A quantity is an output column of the sweep with name and printed unit. A curve holds the cases
 that differ in one scenario field only; all other fields are constant along the curve.

@@ -414,7 +414,7 @@ _DESIGN = TypeAdapter(SweepDesign)
 
 
 def cell_of(value: object) -> Any:  # noqa: ANN401  a value of any scenario field
-    """Return a field's value in the form that a table cell holds: a list as JSON text."""
+    """Return a field's value as a table cell holds it: a list as JSON text, others unchanged."""
     return json.dumps(value) if isinstance(value, list) else value
 
 

@@ -120,8 +120,8 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
     Parameters
     ----------
     fixed : mapping
-        Value of each field that is constant along the curve, by its dotted path. If it is empty,
-        the name is "all cases".
+        Value of each field that varies in the sweep but is constant along the curve, by its dotted
+        path. If the mapping is empty, the name is "all cases".
     """
     parts = [
         value.replace("_", " ")

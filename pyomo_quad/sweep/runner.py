@@ -73,7 +73,7 @@ class SweepSummary:
 
     @property
     def missing(self) -> int:
-        """Number of cases without a result, for example after an interruption."""
+        """Number of cases that have not ended, for example after Ctrl-C; lost cases have ended."""
         return self.total - self.already_finished - self.finished - self.failed - self.lost
 
 
@@ -255,10 +255,10 @@ class Sweep:
         whose solves start from the solution of this case. The descendants are the children, the
         children of the children, and so on.
 
-        A lost case has no solution. Its children were therefore solved from the solution of its
-        parent instead. `case` has ended in this run and was not lost. If an earlier run lost it,
-        its descendants are solved again. All rows then equal the rows of a sweep in which no worker
-        died.
+        A lost case has no solution. The children of the lost case were therefore solved from the
+        solution of the lost case's parent. `case` has ended in this run and was not lost. If an
+        earlier run lost it, its descendants are solved again. All rows then equal the rows of a
+        sweep in which no worker died.
 
         Returns
         -------

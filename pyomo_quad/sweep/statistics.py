@@ -35,7 +35,8 @@ class Curve:
     Attributes
     ----------
     fixed : dict
-        Value of each constant field, by its dotted path.
+        Value of each other field that varies in the sweep, by its dotted path. These fields are
+        constant along the curve. Of several fields that change together, only the first is named.
     rows : DataFrame
         Rows of the result table.
     """
@@ -171,7 +172,7 @@ class SweepResults:
 
     @cached_property
     def finished(self) -> pd.DataFrame:
-        """Rows of the cases that were solved and verified."""
+        """Rows of the result table for the cases that were solved, and verified by simulation."""
         return self.frame[self.frame[STATUS_COLUMN] == CaseStatus.FINISHED.value]
 
     @cached_property

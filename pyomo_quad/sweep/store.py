@@ -297,6 +297,8 @@ def _refused(file: Path, error: sqlite3.DatabaseError) -> StoreError:
 def refuse_kept_results(folder: Path) -> None:
     """Raise an error if a folder has results of a sweep but cannot be written.
 
+    A sweep cannot continue in such a folder, but its results can still be reported.
+
     Parameters
     ----------
     folder : Path
@@ -305,8 +307,8 @@ def refuse_kept_results(folder: Path) -> None:
     Raises
     ------
     StoreError
-        If the folder has results and cannot be written. The message names the command that reads
-        them: `pyomo-quad sweep-report`.
+        If the folder has results and cannot be written. The message names the command that reports
+        the results: `pyomo-quad sweep-report`.
     """
     if (folder / STORE_NAME).is_file() and not os.access(folder, os.W_OK):
         is_read_only = os.statvfs(folder).f_flag & os.ST_RDONLY
@@ -456,8 +458,9 @@ class ResultStore:
 
         The new design must contain all stored cases. If the axes of the two designs differ, all
         stored warm starts are deleted. A warm start is a solution from which neighbouring cases
-        start. With other axes, a case has other neighbours. The previous run has stored warm starts
-        of some cases only. If these were kept, the results would depend on which cases they are.
+        start. With other axes, a case has other neighbours. The store has warm starts of some cases
+        only; of which cases, depends on the moment at which the previous run ended. If the warm
+        starts were kept, the results of the new cases would depend on this moment, too.
 
         Parameters
         ----------
@@ -477,8 +480,8 @@ class ResultStore:
     def statuses(self) -> dict[str, CaseStatus]:
         """Return the status of each stored case, by the case's key (a hash of its field values).
 
-        A finished case was solved and verified. A failed case could not be solved or verified. A
-        lost case has no result, because its worker process died.
+        A finished case was solved, and verified by simulation. A failed case could not be solved or
+        verified. A lost case has no result, because its worker process died.
         """
         return {key: row.status for key, row in self.rows().items()}
 
@@ -638,8 +641,8 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns: case number, the fields that vary, status, reason of a failure, and the output
-        columns that the study keeps.
+        Columns: number of the case (from 0), the fields that vary, status, reason of a failure, and
+        the output columns that the study keeps.
 
     Examples
     --------

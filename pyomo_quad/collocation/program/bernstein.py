@@ -45,9 +45,10 @@ class BernsteinRule:
     right end.
 
     The first Bernstein coefficient is the polynomial's value at the left end, and the last
-    coefficient is its value at the right end. If such a value is an unknown of the program, it is
-    bounded already, and the coefficient is left out here. A state therefore has neither the first
-    nor the last coefficient; an algebraic variable lacks the last coefficient only.
+    coefficient is its value at the right end. If one of these values is an unknown of the program,
+    the bounds of the unknown apply to it already, and the maps leave the coefficient out. For a
+    state they leave out the first and the last coefficient; for an algebraic variable they leave
+    out the last coefficient only.
 
     Attributes
     ----------
@@ -179,9 +180,9 @@ class Restraint:
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
-        First-order estimate of the increase in each element, in the unit of the objective. The
-        bounds are imposed on the Bernstein coefficients of a polynomial. This is stricter than
-        bounds on the polynomial itself, and therefore raises the objective.
+        First-order estimate of the increase by the bounds in each element, in the unit of the
+        objective. The bounds are imposed on the Bernstein coefficients of a polynomial. They are
+        stricter than bounds on the polynomial itself, and therefore raise the objective.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.

@@ -79,8 +79,8 @@ def bounds_of(
     ------
     TranscriptionError
         If a lower bound exceeds an upper bound, or if the bounds of free times contradict the order
-        of these times. The value of a free time is the time in seconds at which a declared time is
-        reached; it is a variable of the program. The message names the variables.
+        of these times. A free time is a static variable (a variable without time) that gives the
+        physical time of a declared time. The message names the variables.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
@@ -147,10 +147,14 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states and algebraic variables at all nodes, as `Limit` objects.
 
-    A constraint over time on a single variable counts as a bound of that variable. `program` is the
-    nonlinear program on one mesh. `start_data` has one row for the start of the horizon, and one
-    row for the time just after each jump of a parameter. The columns of `start_data` are the
-    fraction of the horizon, the time-dependent parameters and the constant parameters.
+    A constraint over time on a single variable counts as a bound of that variable. The bounds may
+    depend on time and on parameters.
+
+    `program` is the nonlinear program on one mesh. It has the parameter values at the collocation
+    points. `start_data` has the parameter values at all other times that are needed: one row for
+    the start of the horizon, and one row for the time just after each jump of a parameter. The
+    columns of `start_data` are the fraction of the horizon, the time-dependent parameters and the
+    constant parameters.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)

@@ -677,12 +677,14 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the bound of the difference between the expression and the limit of a constraint.
+    """Return the bound of a constraint from whose expression a limit has been subtracted.
 
-    The bound is a CasADi expression. It is 0 in the parts of the horizon that have the limit, and
-    infinite in the parts without the limit. `unbounded` is a CasADi expression that is 1 in the
-    parts without the limit, else 0. `none` is the infinite value: positive for an upper limit,
-    negative for a lower limit.
+    The limit of the original constraint may exist in some parts of the horizon only. In these
+    parts, the bound of the difference (expression minus limit) is 0. In all other parts, the bound
+    is infinite. The result is a CasADi expression.
+
+    `unbounded` is a CasADi expression that is 1 in the parts without the limit, else 0. `none` is
+    the infinite value: positive for an upper limit, negative for a lower limit.
     """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)

@@ -403,7 +403,7 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 class Union:
     """Positions of several programs' unknowns and constraints in their joint nonlinear program.
 
-    Static variables with the same name share one unknown.
+    Static variables (variables without time) with the same name share one unknown.
 
     Parameters
     ----------
@@ -603,7 +603,7 @@ class CoupledProgram:
 
     @cached_property
     def _hessian(self) -> tuple[Any, Any]:
-        """Row and column indices of the lower triangle of the Lagrangian's Hessian."""
+        """Row and column of each nonzero in the lower triangle of the Lagrangian's Hessian."""
         found = []
         for places, program in zip(self.union.places, self.programs, strict=True):
             rows, columns = (places[held] for held in program.hessianstructure())
@@ -613,7 +613,10 @@ class CoupledProgram:
         return np.concatenate(every_row), np.concatenate(every_column)
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
+        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+
+        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        """
         return self._hessian
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:

@@ -180,6 +180,8 @@ class SolverOptions:
 
         - The start practically coincides with the point (`NONE`). The settings leave variables on
           their bounds if they start there.
+        - The start is near the point (`SHORT`). The settings do not change by how much Ipopt moves
+          the start inside the bounds.
         - The start is far from the point (`FAR`). With the settings, Ipopt first moves the start
           inside the bounds, and begins with a larger barrier parameter. Otherwise, bounds that
           become active or inactive would shorten nearly every step.
@@ -203,15 +205,17 @@ class SolverOptions:
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start with a given expected change of the objective.
 
-        The barrier leaves a gap in the objective: the barrier parameter times the number of
-        inequality bounds. The initial barrier parameter is chosen so that this gap equals the
-        expected change. With a larger gap, the iterates would first move away from the warm start
-        and then return. The initial barrier parameter is at most the usual one of warm starts.
+        The barrier leaves an error in the objective, called the gap: the barrier parameter times
+        the number of inequality bounds. The settings choose the initial barrier parameter for which
+        this gap equals the expected change. With a larger initial parameter, the iterates would
+        first move away from the warm start and then return. The initial parameter is never larger
+        than in other warm starts.
 
-        For a small expected change, the initial barrier parameter is a value that depends on the
-        tolerance alone. A parameter chosen by the gap would be below a multiple of the tolerance.
-        Ipopt does not reduce so small a parameter, and would keep it until the end of the solve.
-        The final gap would then depend on the expected change, and would differ from mesh to mesh.
+        If the expected change is very small, this choice would give an initial parameter below ten
+        times Ipopt's tolerance. Ipopt would keep such a parameter until the end of the solve,
+        instead of reducing it. The final gap would then depend on the expected change, and would
+        differ from mesh to mesh. In this case the settings therefore use an initial parameter that
+        depends on the tolerance alone.
 
         For a large expected change, the settings also move the start well inside the bounds. A
         large change of the objective shifts the times at which bounds become active. From a start
@@ -466,8 +470,8 @@ class _Callbacks:
     def _sizes(self) -> dict[str, int]:
         """Lengths of the arrays that the callbacks for constraints, Jacobian and Hessian return.
 
-        The lengths are the number of constraints, and the numbers of nonzeros of Jacobian and
-        Hessian.
+        The keys are `constraints`, `jacobian` and `hessian`. The lengths are the number of
+        constraints, and the numbers of nonzeros of Jacobian and Hessian.
         """
         program = self.program
         return {
@@ -516,7 +520,10 @@ class _Callbacks:
         return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
+        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+
+        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        """
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:

@@ -146,7 +146,7 @@ class Multipliers:
         Multipliers of the constraints: positive where an upper bound is active, negative where a
         lower bound is active.
     lower, upper : ndarray, shape (n_unknowns,)
-        Multipliers of the lower and of the upper bounds of the unknowns, not negative.
+        Multipliers of the lower and of the upper bounds of the unknowns; none is negative.
     """
 
     rows: FloatArray
@@ -209,7 +209,10 @@ class NonlinearProgram(Protocol):
         """
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
+        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+
+        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        """
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
@@ -335,7 +338,10 @@ class ExtendedProgram:
         return np.asarray(own if self.terms is None else np.append(own, self.terms.data))
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of the lower triangle of the Lagrangian's Hessian."""
+        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+
+        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        """
         rows, columns = self.program.hessianstructure()
         return np.append(rows, self.columns), np.append(columns, self.columns)
 

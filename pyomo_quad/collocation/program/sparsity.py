@@ -2,7 +2,7 @@
 
 The derivatives of the equations at a single collocation point have the same sparsity pattern at all
 points. Each derivative is added to one or more nonzeros of the nonlinear program's sparse matrices.
-Index arrays, computed once per mesh, tell to which nonzeros. The time derivatives of the states are
+The positions of these nonzeros are computed once per mesh. The time derivatives of the states are
 no unknowns, but linear combinations of the states: see docs/theory/transcription.md, eq. (4).
 """
 
@@ -453,7 +453,7 @@ class JacobianScatter:
             a 1.
         slopes : ndarray, shape (n_integrals,)
             Derivatives of the objective with respect to the integrals that enter it directly. No
-            static variable stands for such an integral.
+            static variable (variable without time) stands for such an integral.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)

@@ -533,10 +533,10 @@ class Transcription:
         return curvatures
 
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return for each collocation point the Hessian of the Lagrangian in the point's variables.
+        """Return the Hessians of the Lagrangian with respect to the variables of each point.
 
-        The Lagrangian at a point has the terms of the path equations and of the integrands there.
-        These terms are divided by the quadrature weight of the point.
+        There is one Hessian per collocation point. It contains the terms of the Lagrangian from the
+        path equations and integrands at the point, divided by the quadrature weight of the point.
 
         Parameters
         ----------
@@ -560,11 +560,12 @@ class Transcription:
         return hessians
 
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian at each point: (n_points, n_nonzeros).
+        """Return the nonzeros of the Lagrangian's Hessian at each point.
 
-        The Hessian is taken with respect to the variables of one collocation point. The result has
-        the nonzeros of its lower triangle, divided by the quadrature weight of the point. `z` are
-        the unknowns, and `multipliers` the multipliers of all constraints of the program.
+        The result has the shape (n_points, n_nonzeros). The Hessian at a collocation point is taken
+        with respect to the variables of this point. The result has the nonzeros of its lower
+        triangle, divided by the quadrature weight of the point. `z` are the unknowns, and
+        `multipliers` the multipliers of all constraints of the program.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]

@@ -2,7 +2,8 @@
 
 A declared time is a member of the model's continuous set. The model can state conditions at
 declared times. A declared time is free if a static variable (a variable without time) gives its
-physical time. Within a phase, physical time is linear in the fraction of the horizon.
+physical time. The free times inside the horizon divide it into phases. Within a phase, physical
+time is linear in the fraction of the horizon.
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ class PhaseTimes:
         """Declared times that bound the phases, as fractions of the declared horizon.
 
         A declared time is a member of the continuous set. The declared horizon extends from the
-        first to the last member.
+        first to the last member. The free times (times that the solve determines) inside the
+        horizon divide it into phases.
         """
         return tuple(self.fraction_of(time) for time in self.declared)
 
@@ -90,15 +92,22 @@ class PhaseTimes:
 
     @cached_property
     def _spans(self) -> list[Any]:
-        """CasADi expressions for d (physical time) / d (fraction of the horizon), one per phase."""
+        """CasADi expressions for d (physical time) / d (fraction of the horizon), one per phase.
+
+        The free times (times that the solve determines) divide the horizon into phases. Within a
+        phase, the derivative does not depend on the fraction of the horizon.
+        """
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
 
     @property
     def _phase_factors(self) -> tuple[Any, ...]:
-        """Factors, one per phase: 1 at times of the phase and 0 elsewhere.
+        """Factors that select the phase which contains a time, one factor per phase.
 
-        If there is only one phase, its factor is the number 1.
+        The free times (times that the solve determines) divide the horizon into phases. Each factor
+        is a CasADi symbol, whose value is 1 at times of its phase and 0 elsewhere. If there is only
+        one phase, its factor is the number 1. To combine the expressions of all phases into one,
+        each is multiplied by the factor of its phase, and the products are summed.
         """
         return self.phases or (1.0,)
 
@@ -106,7 +115,10 @@ class PhaseTimes:
     def span(self) -> Any:
         """Derivative of physical time with respect to the fraction of the horizon.
 
-        A CasADi expression that holds in all phases.
+        The derivative is a CasADi expression that holds at all times. The free times (times that
+        the solve determines) are variables in it. They divide the horizon into phases. If there are
+        several phases, the expression also contains one symbol for each phase, which is 1 at times
+        of the phase and 0 elsewhere.
         """
         return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 
@@ -141,26 +153,27 @@ class PhaseTimes:
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
     def phase_of(self, time: float) -> int:
-        """Return the index of the phase that contains a declared time.
+        """Return the index of the phase that contains a time in the range of the continuous set.
 
-        A declared time is a member of the continuous set. A time between two phases belongs to the
-        phase that ends there.
+        The free times (times that the solve determines) divide the horizon into phases, which are
+        counted from 0. A time between two phases belongs to the phase that ends there.
         """
         return bisect_left(self.declared[1:-1], time)
 
     def label(self, position: int) -> str:
-        """Return the name of one of the declared times for messages, as ``t[1]``.
+        """Return the name of one of the declared times for messages, such as ``t[2.5]``.
 
-        A declared time is a member of the continuous set. `position` is the index of the time in
-        the attribute `declared`.
+        A declared time is a member of the continuous set. The name consists of the name of the set
+        and the time in brackets. `position` is the index of the time in the attribute `declared`.
         """
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
         """Return the constraints that keep the times that bound the phases in rising order.
 
-        There is one constraint per phase, as a pair of a name and a CasADi expression that must not
-        be negative. The expression is the duration of the phase minus a small fraction of the
+        The free times (times that the solve determines) divide the horizon into phases. There is
+        one constraint per phase, as a pair of a name and a CasADi expression that must not be
+        negative. The expression is the duration of the phase minus a small fraction of the
         duration of the horizon. The list is empty for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
@@ -276,10 +289,10 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Raise an error if a variable cannot serve as the physical time of a declared time.
+    """Raise an error if one of the variables cannot serve as the physical time of a declared time.
 
-    A declared time is a member of a continuous set. A variable must have no time, and must not
-    serve for two declared times.
+    A declared time is a member of a continuous set. A variable must not be indexed by time, and
+    must not serve for two declared times.
 
     Parameters
     ----------
@@ -288,7 +301,7 @@ def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) 
     sets : tuple of ContinuousSet
         All continuous sets of the model. None of them may index the variable.
     given : dict
-        Declared time -> variable that gives its physical time.
+        Declared time -> variable that gives its physical time. All these variables are checked.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

@@ -213,8 +213,8 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
     `time` is the continuous set that indexes the components.
 
     The deletion does not change the nonlinear program. Most of the deleted types contribute nothing
-    to the program. Active blocks and objectives would contribute to it, but a model that has them
-    over time is refused before.
+    to the program. Active blocks and objectives over time would contribute to it, but a model that
+    has them is refused earlier.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED

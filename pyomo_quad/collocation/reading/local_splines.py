@@ -69,7 +69,8 @@ class LocalSpline:
     roundings : tuple of float
         Step to whose multiples each argument is rounded.
     ends : tuple of (float, float)
-        Least and greatest value of each rounded argument.
+        Interval to which each rounded argument is limited. An argument outside the interval is
+        rounded to the nearer end of the interval.
     function : casadi.Function
         Rounded arguments -> value, gradient and upper triangle of the Hessian of the spline.
     kept : tuple of casadi.Function
@@ -87,6 +88,8 @@ class LocalSpline:
     @classmethod
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
         """Return a B-spline in the form of a `LocalSpline`.
+
+        A `LocalSpline` is a spline whose evaluation cost does not depend on the grid's size.
 
         Parameters
         ----------
@@ -267,11 +270,12 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
     Parameters
     ----------
     parts : dict
-        Partial sums of the value and of each derivative of the spline: the sums over the axes that
-        earlier calls have summed. These are the last axes of the spline, or none. A key identifies
-        a derivative: it is a tuple with the order of the derivative along each summed axis. If no
-        axis is summed, the only key is (). The item of a key is a CasADi column of partial
-        sums: one for each combination of indices along the axes not yet summed.
+        Partial sums of the value and of each derivative of the spline. Earlier calls of this
+        function have summed the terms over the last axes of the spline, or over none. A key
+        identifies a derivative: it is a tuple with the order of the derivative along each axis that
+        is already summed. If no axis is summed yet, the only key is (). The value of a key is a
+        CasADi column of partial sums, with one sum for each combination of indices along the axes
+        that are not summed yet.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
         its value, first and second derivative.

@@ -435,8 +435,8 @@ class RelationReader:
 def _is_met_as_fixed(data: Any) -> bool:
     """Return whether all variables in a constraint are fixed and the constraint is satisfied.
 
-    `data` is the constraint: a single member, which is a Pyomo data object. If the result is True,
-    the constraint need not be imposed.
+    `data` is one member of a Pyomo constraint. If the result is True, the member need not be
+    imposed.
     """
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
@@ -461,8 +461,9 @@ def read_declarations(
     Returns
     -------
     Declarations, ModelReader
-        The declarations, and the reader, which can write further expressions of the model in the
-        same symbols.
+        The model in CasADi symbols (variables, parameters, constraints and objective), and the
+        reader that made it. The reader can write further expressions of the model in the same
+        symbols.
 
     Raises
     ------
@@ -511,7 +512,9 @@ class ModelReader:
     def require_all(self) -> None:
         """Raise an error for a model without a variable to solve for, or without complete dynamics.
 
-        The dynamics are incomplete if the time derivative of a state appears in no equation.
+        The dynamics are incomplete if the time derivative of a state appears in no equation over
+        time. An exception is a state that equations without time derivatives determine, such as the
+        boundary value of a variable that is discretised in space.
         """
         self._require_dynamics(self.equations)
         self._require_variables()
@@ -600,9 +603,11 @@ class ModelReader:
             )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
-        """Raise an error for a state whose derivative appears in no equation.
+        """Raise an error for a state whose time derivative appears in no equation.
 
-        `equations` are the equations over time.
+        `equations` are the equations over time. A state is accepted without its derivative if
+        equations without time derivatives determine it. An example is the boundary value of a
+        variable that is discretised in space.
         """
         read = [symbol_names(e.expression) for e in equations if e.is_equality]
         used = frozenset[str]().union(*read)

@@ -138,7 +138,11 @@ class LiveModel:
         self._addresses = AddressBook(time)
 
     def of(self, model: Any) -> LiveModel:
-        """Return a `LiveModel` of another Pyomo model with the same declarations."""
+        """Return a `LiveModel` of another Pyomo model with the same declarations.
+
+        A `LiveModel` reads the values of parameters and variables from a Pyomo model. `model` is
+        the other model.
+        """
         time = None if self._time is None else model.find_component(self._time.name)
         return LiveModel(model, time, self.schedules)
 
@@ -152,7 +156,7 @@ class LiveModel:
         return self.model.find_component(name) is not None
 
     def unit(self, name: str) -> str:
-        """Return the unit of a constraint or variable by name, "" if it has none."""
+        """Return the unit of a constraint or variable by name, as a text; "" if it has none."""
         return declared_unit(self.model, name)
 
     def parameter(self, slot: Slot) -> float | None:
@@ -226,7 +230,7 @@ class LiveModel:
         component : Pyomo component
             Component that has the rule.
         slot : Slot
-            The member of the component, over time.
+            The member of the component whose values the function returns.
         rule : callable
             (block, index) -> value.
         kind, advice : str
@@ -494,32 +498,34 @@ class ModelSnapshot:
     of = load = load_rates = load_integrals = _refuse
 
     def has(self, name: str) -> bool:
-        """Return whether the model had a component of this name."""
+        """Return whether the model had a component of this name when the problem was pickled."""
         return name in self.names or name.rpartition("[")[0] in self.names
 
     def unit(self, name: str) -> str:
-        """Return the unit of a constraint or variable by name, "" if it has none."""
+        """Return the unit of a constraint or variable by name, as a text; "" if it has none."""
         return self.units.get(family_name(name), "")
 
     def parameter(self, slot: Slot) -> float | None:
-        """Return the value of a parameter without time, None if it had none.
+        """Return the value that a parameter without time had when the problem was pickled.
 
-        `slot` is the parameter.
+        `slot` is the parameter. The result is None if the parameter had no value.
         """
         return self.parameters[slot.name]
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
-        """Return a variable's stored value, None if it was unset or the component was no Var.
+        """Return the value that a variable had in the model when the problem was pickled.
 
         `slot` is the variable. `time` is a member of the continuous set (a declared time), None for
-        a variable without time.
+        a variable without time. The result is None if the variable had no value, or if the
+        component was no Var.
         """
         return self.variables[slot.name, time]
 
     def first_guess(self, slot: Slot) -> Interpolant | None:
-        """Return a variable's `initialize` rule as a function of time, None if it had none.
+        """Return a variable's `initialize` rule as a function of time, from the pickle.
 
-        `slot` is the variable.
+        `slot` is the variable. The result is None if the variable had no `initialize` rule, or if
+        the values in the model were no longer those of the rule.
         """
         return self.guesses.get(slot.name)
 

@@ -180,7 +180,11 @@ class _PrefixNotation(PrefixVisitor):
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
-        """Append a node to the notation; return its child nodes, which Pyomo then visits."""
+        """Append an expression node to the prefix notation, and return its child nodes.
+
+        Pyomo's expression walker calls this method at each node, and then visits the child nodes.
+        A named expression is appended without its child nodes.
+        """
         if isinstance(node, NamedExpressionData):
             self._result.append(node)
             return (), None
@@ -212,10 +216,10 @@ class _Translator:
         self._functions: dict[FunctionType, FunctionType] = {}
 
     def translate(self, value: Any) -> Any:
-        """Return a copy of a value that refers to the clone's components instead of the model's.
+        """Return a copy of a value that refers to components of the model's clone.
 
-        Components, functions and collections of them are translated; other values are returned
-        unchanged.
+        The given value refers to components of the model itself. Components, functions and
+        collections of them are translated; other values are returned unchanged.
         """
         if isinstance(value, Component | ComponentData):
             return self._component(value)
@@ -228,7 +232,7 @@ class _Translator:
         return value
 
     def _callable(self, value: Any) -> Any:
-        """Return a copy of a function, method or partial that refers to the clone."""
+        """Return a copy of a function, method or partial that refers to the model's clone."""
         if isinstance(value, FunctionType):
             return self._function(value)
         if isinstance(value, MethodType):
@@ -237,7 +241,7 @@ class _Translator:
         return partial(self.translate(value.func), *arguments, **keywords)
 
     def _component(self, component: Any) -> Any:
-        """Return the component of the clone that corresponds to a component of the model.
+        """Return the component of the model's clone that corresponds to a component of the model.
 
         A component of a different model is returned unchanged.
         """
@@ -249,7 +253,10 @@ class _Translator:
         return component if found is None else found
 
     def _function(self, function: FunctionType) -> FunctionType:
-        """Return a copy of a function whose closure, globals and defaults refer to the clone."""
+        """Return a copy of a function that refers to the model's clone instead of the model.
+
+        Closure, global variables and default arguments of the copy refer to the clone.
+        """
         if function in self._functions:
             return self._functions[function]
         cells = tuple(CellType() for _ in function.__closure__ or ())
@@ -268,7 +275,7 @@ class _Translator:
         return translated
 
     def _global(self, value: Any, function: FunctionType) -> Any:
-        """Return the value of a global variable, translated to refer to the clone.
+        """Return the value of a global variable, translated to refer to the model's clone.
 
         `value` is the value of the variable, and `function` is the function that reads it. If the
         value is a function from another module, it is returned unchanged.

@@ -540,12 +540,14 @@ class Steps:
     values: tuple[float, ...]
 
     def __call__(self, time: float) -> float:
-        """Return the value at a time."""
+        """Return the value of the piecewise constant function at a time."""
         step = int((time - self.start) / self.step)
         return self.values[min(max(step, 0), len(self.values) - 1)]
 
     def edges(self, start: float, end: float) -> list[float]:
-        """Return the times at which one step ends and the next step begins.
+        """Return the times at which one step of the function ends and the next step begins.
+
+        The function is piecewise constant, with steps of equal duration.
 
         Parameters
         ----------
@@ -600,7 +602,7 @@ class Interpolant:
     refusal: str
 
     def row(self, time: float) -> list[float]:
-        """Return the values of all functions at a time.
+        """Return the values of all interpolated functions at a time.
 
         Raises
         ------
@@ -618,8 +620,9 @@ class Interpolant:
     def reading(self, time: float) -> Reading:
         """Return the values at a time as a `Reading` without a key, for the function `jumps`.
 
-        A `Reading` has numbers and a key. Here the numbers are the values of all functions. The
-        function `jumps` finds the times at which a number jumps.
+        A `Reading` has numbers and a key. Here the numbers are the values of all interpolated
+        functions, and the key is the same at all times. The function `jumps` finds the times at
+        which a number jumps.
         """
         return Reading(None, tuple(self.row(time)))
 

@@ -487,7 +487,7 @@ class Integral:
 
     @property
     def slot(self) -> Slot:
-        """Static variable that stands for the integral, without bounds."""
+        """Variable without time that stands for the integral in the equations; it has no bounds."""
         return Slot(name=self.name, component=self.name, index=(), symbol=self.symbol)
 
 

@@ -133,11 +133,12 @@ class ModelValues:
         Parameters
         ----------
         overrides : mapping, optional
-            Values that replace the values in the model, by component or full name.
+            Values that replace the values in the model. A key is a Pyomo parameter or its full
+            name.
         horizon : (float, float), optional
-            Start and end of the horizon; by default the ends of the continuous set. Start and end
-            are parameters of the model. An exception is a start or end that a static variable
-            determines: its value here has no effect.
+            Start and end of the horizon; by default the ends of the continuous set. Both are among
+            the returned parameters. If a static variable (a variable without time) determines the
+            start or the end, the value given here has no effect.
 
         Raises
         ------
@@ -346,7 +347,7 @@ class ModelValues:
         - the variable has no `initialize` rule;
         - the values of the variable in the model differ from the values of the rule;
         - the rule fails or is not finite at one of the fractions, for example because it looks up
-        values at members of the continuous set.
+          values at members of the continuous set.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)

@@ -571,9 +571,9 @@ class TemplateWriter:
         for the data in the equations. There are two kinds of data:
 
         - For a rule that branches on time, the data are the branch that the rule takes, and the
-        numbers in the branch.
-        - For a horizon with phases, the data are one indicator per phase: 1 during the phase and 0
-        elsewhere.
+          numbers in the branch.
+        - For a horizon that free times (times that the solve determines) divide into phases, the
+          data are one indicator per phase: 1 during the phase and 0 elsewhere.
 
         `time` is a time in the range of the continuous set. `side` is -1 for values just before the
         time, 1 for values just after it. The result maps the name of each symbol to (symbol,

@@ -28,8 +28,8 @@ SAME = 1e-12
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit becomes active or inactive.
 
-    The problem itself requires some breakpoints, for example where a parameter jumps. A limit that
-    becomes active or inactive at a required breakpoint is not counted.
+    The problem itself requires some element boundaries, for example where a parameter jumps. A
+    limit that becomes active or inactive at a required boundary is not counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)
@@ -38,9 +38,10 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements at which only limits on algebraic variables change.
 
-    A limit changes at an element if it becomes active or inactive in the element or beside it.
-    Elements at which a limit that involves a state changes are left out, because the costate of the
-    state may jump there.
+    A limit changes at an element if the limit becomes active or inactive in the element or beside
+    it. An element is left out if a limit on a state changes there, because the costate of the state
+    may then jump. Limits on states include all limits that contain a state or its rate (time
+    derivative).
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
@@ -86,7 +87,7 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each breakpoint of the mesh whether the problem requires it.
+    """Return for each breakpoint (element boundary) of the mesh whether the problem requires it.
 
     The result has shape (n_elements + 1,). Required breakpoints are the start and end of the
     horizon, the times of constraints at a single time, the times at which a variable is fixed, and

@@ -45,7 +45,8 @@ class Damping:
     controls : ndarray of int, shape (n_controls,)
         Positions of the damped controls among the algebraic variables.
     prices : ndarray, shape (n_controls,)
-        Penalty per unit of mean square distance over the horizon, for each control.
+        Factor of the penalty for each control. The penalty is half the factor times the mean square
+        distance over the horizon between the control and the smoothed control.
     gap : float
         Complementarity gap that the solve on the next mesh leaves, in the unit of the objective.
         The gap is the sum over all limits of multiplier times distance to the limit. If `gap` is

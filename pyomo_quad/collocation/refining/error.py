@@ -166,19 +166,20 @@ class ErrorEstimate:
         to the nominal magnitude of the objective (`Solution.nominal_objective`).
     switches : ndarray, shape (n_elements,)
         Possible cost of control switches at a wrong time inside an element. Extrapolated, and
-        relative to the objective's own magnitude. Zero unless all other errors are below the
-        tolerance.
+        relative to the objective itself, which may be smaller than its nominal magnitude. Zero
+        unless all other errors are below the tolerance.
     costs : ndarray, shape (n_elements,)
         Twice the change of the objective in the attribute `objective`, but relative to the
-        objective's own magnitude. The factor of two allows for the unknown error of the controls.
-        Zero unless all other errors are below the tolerance.
+        objective itself, as in `switches`. The factor of two allows for the unknown error of the
+        controls. Zero unless all other errors are below the tolerance.
     restraint : ndarray, shape (n_elements,)
         Cost of the bounds that are imposed between the collocation points. Extrapolated, and
         relative to the nominal magnitude of the objective. The cost may use up only half of the
         tolerance. It is therefore doubled, so that it can be compared with the whole tolerance.
     integrals : ndarray, shape (n_elements,)
-        Error of the quadrature. The error of the objective is relative to the objective, and the
-        error of an integral is relative to max(1, abs(integral)).
+        Largest error of the quadrature, over the objective and all integrals. Extrapolated. The
+        error of the objective is relative to its nominal magnitude, and the error of an integral is
+        relative to max(1, abs(integral)).
     miss : ndarray, shape (n_elements,)
         Effect of the state errors on the final states. The final states have a tolerance of their
         own. The effect is scaled so that it can be compared with the tolerance for all errors.
@@ -243,9 +244,13 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
-    Every integral is recomputed by Gauss' rule on panels of each element. Even if the polynomials
-    satisfy the differential equations, the quadrature at the collocation points may be inaccurate:
-    the integrand may have a higher degree, or a corner between the points.
+    The class `ErrorEstimate` describes the kinds of error, such as the errors of the states and the
+    violations of limits between the collocation points.
+
+    The errors of integrals are found by computing every integral again, by Gauss' rule on panels of
+    each element. Even if the polynomials satisfy the differential equations, the quadrature at the
+    collocation points may be inaccurate: the integrand may have a higher degree, or a corner
+    between the points.
 
     Parameters
     ----------
@@ -253,9 +258,10 @@ def estimate_error(
         Solution on one mesh, whose errors between the collocation points are estimated.
     tolerance : float, optional
         Tolerance with which all errors will be compared. The errors of the states have their own
-        tolerances, `state_error` and `final_miss` of `allowance`. They are scaled for a comparison
-        with `tolerance`. The costs of misplaced control switches count only if all other errors are
-        below `tolerance`, so that coarse elements are refined first.
+        tolerances, `state_error` and `final_miss` of `allowance`. These errors are therefore
+        scaled, so that they can be compared with `tolerance`. The costs of misplaced control
+        switches count only if all other errors are below `tolerance`, so that coarse elements are
+        refined first.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 
@@ -314,11 +320,11 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the magnitude by which errors of the objective are divided, in the objective's unit.
+    """Return the magnitude of the objective to which errors are relative, in the objective's unit.
 
-    The result is the largest of three numbers: the magnitude of the objective, min(1, s), and 1e-4
-    s. Here s is the inverse of the objective's factor in the scaled nonlinear program. The last two
-    numbers matter for an objective near zero.
+    Some errors of the objective are divided by this magnitude. It is the largest of three numbers:
+    abs(objective), min(1, s), and 1e-4 s. Here s is the inverse of the objective's factor in the
+    scaled nonlinear program. The last two numbers matter for an objective near zero.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -421,10 +427,10 @@ def _panelled_places(degree: int) -> FloatArray:
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the state errors, with algebraic variables taken from their polynomials.
 
-    An equation may define an algebraic variable. For example, ``f = r + r^3`` defines r if ``x' =
-    r`` is the differential equation. Between the collocation points, such a variable has two
-    different values: the value that solves the equation, and the value of the variable's
-    polynomial.
+    An equation may define an algebraic variable. For example, the algebraic equation ``r + r^3 =
+    f`` defines r, which enters the differential equation ``x' = r``. Between the collocation
+    points, such a variable has two different values: the value that solves the equation, and the
+    value of the variable's polynomial.
 
     `estimate_error` takes the value that solves the equation. Its estimate may be small although
     the polynomial is inaccurate. This function takes the value of the polynomial. Its result

@@ -209,8 +209,8 @@ def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     A constant is omitted at each point, because it does not depend on the controls. The Hamiltonian
     is infinite at points at which a path inequality is violated. The result has shape (n_points,).
 
-    `variables` holds rates, states, algebraic and static variables, one row per collocation point.
-    `solution` gives the costates.
+    `variables` holds rates (derivatives of the states), states, algebraic variables and static
+    variables (without time), one row per collocation point. `solution` gives the costates.
     """
     program = solution.program
     compiled, count = program.compiled, len(variables)
@@ -255,16 +255,18 @@ def state_error(
     - The errors of a state, added over all elements and doubled. The factor of two allows for the
       unknown error of the controls.
     - With a singular arc: c e^p, where e is the largest estimated error, or `change` if `change` is
-      larger. The numbers c and p < 1 depend on the order of the singular arc. On a singular arc the
-      objective hardly depends on the states. A small error e of the objective therefore permits the
-      larger error c e^p of the states.
+      larger. For a singular arc of order 1, c = 4 and p = 1/2; for a higher order, c = 1 and p =
+      1/5. On a singular arc the objective hardly depends on the states. A small error e of the
+      objective therefore permits the larger error c e^p of the states.
 
-    If `before` is given, limits become active or inactive inside elements. The mesh then restricts
-    the times at which they do so. Three more numbers count:
+    The argument `before` is given if limits become active or inactive inside elements. The times of
+    these changes are then inaccurate, because they depend on the mesh. In this case three more
+    numbers count:
 
     - The violation of limits.
-    - The change of the states if a control jumps at another time within a narrow element. A narrow
-      element has a single collocation point, and the refinement has cut it around a jump.
+    - The possible error of the states because a control jumps at a wrong time. It is computed for
+      elements with a single collocation point, which the refinement cuts around the jumps of
+      controls: the true time of the jump may be anywhere in the element.
     - Without a singular arc: the change of the states since the previous mesh.
 
     Parameters

@@ -96,9 +96,10 @@ def refine(
     Returns
     -------
     Solution or JointSolution
-        The last solution. An earlier solution is returned if a restart from better controls (by
-        Pontryagin's principle) did not improve it. The status is `converged`, or
-        `tolerance_not_met` with the reason in the message, or the status of the solve that failed.
+        Usually the last solution. If Pontryagin's principle shows better controls, the refinement
+        is restarted from these controls; if the restart gives no better solution, the solution from
+        before the restart is returned. The status is `converged`, or `tolerance_not_met` with the
+        reason in the message, or the status of the solve that failed.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -261,9 +262,9 @@ class _Refinement(Generic[S]):
         refinement was restarted. Otherwise it is the final solution: `accepted`, or the solution
         before the previous restart if that is better.
 
-        No further restart follows a restart that gained less than the tolerance. The Hamiltonian of
-        a singular control is so flat that rounding alone would produce lower values again and
-        again.
+        If the previous restart improved the objective by no more than the tolerance, no further
+        restart follows. Without this rule, the restarts might not end for a singular control: its
+        Hamiltonian is so flat that rounding errors alone make other controls appear better.
         """
         if self.reached is not None and self.reached.gain(accepted) <= self.tolerance:
             return self.reached.better(accepted)
@@ -350,8 +351,9 @@ class _Refinement(Generic[S]):
         """Return a solution and its estimated errors, with a smaller complementarity gap if needed.
 
         The gap is the error that Ipopt's barrier leaves in the objective. `solved` is a solution on
-        the present meshes. If the gap is its largest error, the solve is continued until the gap is
-        smaller. The result is then the new solution.
+        the present meshes. If the barrier, not the mesh, limits the accuracy of `solved`, the solve
+        is continued until the gap is smaller, and the new solution is returned. Otherwise `solved`
+        itself is returned.
 
         The errors in the result have one item for each horizon.
 
@@ -524,11 +526,11 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return an increased factor on the penalty on changes of the controls between meshes.
+    """Return the increased factor on the strength of the damping.
 
-    The penalty, called damping, keeps the controls near the controls of the previous mesh.
-    `firmness` is the present factor on the penalty. `settled` is the number of meshes on which the
-    objective hardly changed.
+    Damping is a penalty that keeps the controls near the controls of the previous mesh. `firmness`
+    is the present factor on the penalty. `settled` is the number of meshes on which the objective
+    hardly changed.
 
     The result is 5 times `firmness`, up to an upper limit. The upper limit depends on `settled`: it
     is 25 for 0 to 3 meshes, 125 for 4 to 7 meshes, and infinite for 8 or more meshes. If `firmness`
@@ -543,10 +545,12 @@ def _firmer(firmness: float, settled: int) -> float:
 class _MeshSolve(Search[S], Generic[S]):
     """Search for the solution on the next meshes of a refinement.
 
-    A solve may be tried in several ways, the strategies. The table `STRATEGIES` in the module
-    `strategies` lists them. The search tries the strategies for a further mesh of a refinement, in
-    the order of the table. Controls may be damped in a solve: a penalty keeps them near the
-    controls on the previous mesh.
+    The search tries several solution strategies in turn until a solve succeeds. A strategy defines
+    the initial point of the solve, a limit on Ipopt's iterations, and whether damping is increased.
+    The strategies are those with the scope `Scope.MESH` in the table `STRATEGIES` of the module
+    `strategies`.
+
+    Damping of controls is a penalty that keeps them near the controls on the previous mesh.
 
     Attributes
     ----------
@@ -653,10 +657,11 @@ def _is_limited_by_the_barrier(
 
     - The solution has converged.
     - The error of every element is at most `fine`. The attributes `switches` and `costs` of the
-    error estimate are not counted, because they are estimated only if all other errors meet the
-    tolerance.
+      error estimate are not counted, because they are estimated only if all other errors meet the
+      tolerance.
     - The relative complementarity gap (the amount by which Ipopt's barrier changes the objective)
-    exceeds `tolerance`, or the scaled objective is too small to influence Ipopt's convergence test.
+      exceeds `tolerance`, or the scaled objective is too small to influence Ipopt's convergence
+      test.
 
     Parameters
     ----------
@@ -705,10 +710,10 @@ class _Reached(Generic[S]):
     earned: float = 0.0
 
     def gain(self, other: S) -> float:
-        """Return the improvement of the objective in another solution, relative to the objective.
+        """Return the relative improvement of the objective from the kept solution to another one.
 
-        `other` is the other solution, found after the restart. The improvement is negative if
-        `other` is worse than the kept solution.
+        `other` is the other solution, found after the restart. The improvement is relative to the
+        nominal magnitude of the objective, and negative if `other` is worse than the kept solution.
         """
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
@@ -716,11 +721,12 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Raise `shown`, the lower bound on the restart's improvement, if a solution shows more.
+        """Update `shown`, the lower bound on the improvement by the restart, with a new solution.
 
-        `other` is the solution, found after the restart, and `error` is its estimated relative
-        error. The bound that `other` shows is its relative improvement over the kept solution,
-        minus `error`.
+        `other` is the new solution, found after the restart, and `error` is its estimated relative
+        error. The new solution gives a lower bound: its relative improvement of the objective over
+        the kept solution, minus `error`. If this lower bound is larger than `shown`, it becomes the
+        value of `shown`.
         """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
@@ -744,10 +750,10 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
     principle shows that other controls improve the objective. After a restart, the result is the
     solution from before the restart.
 
-    Its status and message are changed to say that better controls exist, unless the restart
-    disproves it. It is disproved by a solution found after the restart that is not better. A
-    solution is better if its relative improvement of the objective, minus its estimated error,
-    exceeds the tolerance.
+    After a restart, the status and message of the result are changed to state that better controls
+    exist. They are left unchanged only if solutions were found after the restart, and none of these
+    solutions is better than the solution from before the restart. A solution is better if its
+    relative improvement of the objective, minus its estimated error, exceeds the tolerance.
 
     Parameters
     ----------

@@ -93,8 +93,9 @@ class RefinementOptions:
 
         - `limits_move` is true.
         - `allowance` tolerates violations both of control bounds and of other limits.
-        - `allowance` has no tolerance on the error of the states. With such a tolerance, a later
-          simulation corrects the controls by feedback, and shows violations between the points.
+        - `allowance` has no tolerance on the error of the states. Such a tolerance means that a
+          later simulation corrects the controls by feedback. The simulation then reveals violations
+          between the points, so that no bounds are needed there.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -105,7 +106,8 @@ class RefinementOptions:
     def is_checked(self) -> bool:
         """Whether a simulation of the controls will check the result.
 
-        This is so if `allowance` has a tolerance for such a simulation.
+        The value is True if at least one tolerance in `allowance` differs from its default, because
+        these tolerances refer to such a simulation.
         """
         return self.allowance != Allowance()
 
@@ -187,9 +189,9 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether the controls are expected to have kinks: a control reaches its limit continuously,
-        and only its slope jumps. A control that enters the equations linearly is expected to jump
-        itself.
+        Whether the controls are expected to have kinks. At a kink, a control reaches its limit
+        continuously, and only its slope jumps. The value is False if controls enter the equations
+        linearly, because such controls are expected to jump.
     """
 
     coarse: frozenset[int]
@@ -524,7 +526,7 @@ def _jump(solution: Solution, e: int) -> float | None:
 
     `e` is the index of the element. The result is None if no control jumps. It is also None if the
     problem requires an element boundary at one end of the element, for example because a parameter
-    jumps there. The control then jumps at that boundary.
+    jumps there. In this case the jump of a control is assumed to be at that boundary.
     """
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():

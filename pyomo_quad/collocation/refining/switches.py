@@ -119,7 +119,8 @@ def _hamiltonians(
     solution : Solution
         Solution on the present mesh, with its multipliers.
     points : ndarray of int, shape (n,)
-        Collocation points at which states, rates, controls and costates are taken.
+        Indices of the collocation points at which states, rates (derivatives of the states),
+        controls and costates are taken.
     fractions : ndarray, shape (n,)
         Fractions of the horizon at which the time-dependent parameters are taken.
 
