@@ -199,8 +199,9 @@ class _Known:
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        The guess of a variable is a function of time, a constant, or samples. The times of samples
-        are the guess's entry "time".
+        The user's guess, the attribute `given`, is a mapping or a DataFrame. Its entry `name` is a
+        function of time, a constant, or a sequence of samples. The entry "time" of the same mapping
+        has the times of the samples, between which the result is interpolated linearly.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]

@@ -122,10 +122,12 @@ class Strategy:
         Whether the damping of the controls (a penalty on their distance from the controls of the
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
-        Limit of iterations of the solve on each mesh; infinite for no limit. If None, the limits
-        depend on the warm start. A warm start may record how many iterations the solve without a
-        warm start took, on the first mesh and on all meshes together. The solve then has these
-        two limits. Without such a record, it has no limit.
+        Limit of iterations of the solve on each mesh; infinite for no limit. None only for the
+        strategy "warm start", which solves the whole problem from the caller's warm start. The warm
+        start may contain the numbers of iterations that an earlier solve from the guess took, with
+        the same tolerance. There are two such numbers, one for the first mesh and one for all
+        meshes together. The first is then the limit on the first mesh, and the second is the limit
+        on all meshes together. If the warm start does not contain them, there is no limit.
     times : int
         How often the strategy may be tried.
     """

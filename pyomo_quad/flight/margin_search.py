@@ -291,8 +291,8 @@ class MarginSearch:
         Vehicles are simulated that hover at the goal in turbulence under the controller. The result
         is True if the fraction that ends too far from the goal or too fast is at least the allowed
         risk. Plans with any margins are then expected to break limits too often with this
-        controller. If flights along the plan without margins are predicted to reach the goal often
-        enough, no hover is simulated, and the result is False.
+        controller. If the predicted probability that a flight along the plan without margins misses
+        the goal is small enough, no hover is simulated, and the result is False.
         """
         if not self._is_followed(self._begun):
             self._hovering = self._missed_by_hover
@@ -507,11 +507,16 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        `tried` is returned unchanged if flights along it are predicted to miss the goal seldom
-        enough. Otherwise plans are solved that leave a part of thrust and tilt as a reserve for the
-        controller. The least sufficient reserve is found by bisection. The result is the cheapest
-        plan whose flights arrive often enough. If no reserve is sufficient, the result is the plan
-        whose flights miss the goal least often.
+        A plan is accepted if the flight without gusts ends near the goal, and if flights in
+        turbulence are predicted to miss the goal or a waypoint with at most a certain probability.
+        This probability is a fixed fraction of the allowed risk. It is larger if gusts carry even
+        hovering vehicles off the goal more often.
+
+        If `tried` is accepted, it is returned unchanged. Otherwise plans are solved that leave a
+        part of thrust and tilt as a reserve for the controller. A bisection searches for the
+        smallest reserve with which a plan is accepted. The result is the accepted plan of least
+        cost. If no plan is accepted, the result is the plan with the smallest probability of a
+        miss.
         """
         if self._is_followed(tried):
             return tried

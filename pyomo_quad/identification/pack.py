@@ -97,7 +97,8 @@ class PackIdentification:
         unseen flight [mV per cell]. For the first error, the voltage is computed with the factor of
         the flight's pack. For the second error, it is computed with the factor 1 of a median pack.
     rows : DataFrame
-        Time [s], measured and computed cell voltage [V] of the unseen flights.
+        One row for each time step of each unseen flight. Columns: flight, time [s], measured and
+        computed cell voltage [V].
     read_s : float
         Time in `rows` [s]. The voltages before this time determine the resistance of a flight's
         pack.
@@ -148,13 +149,16 @@ class _Flown(NamedTuple):
 class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
-    The arrays `power` [W] and `voltage` [V per cell] have one row for each time and one column for
-    each flight. The rows of a flight begin at most a few seconds before the motors load the pack.
+    The arrays `power` [W] and `voltage` [V per cell] have one column for each flight and one row
+    for each time step. The constructor computes them from the log: it resamples each flight to the
+    common time step, and removes all time steps that are more than 3 s before the motors begin to
+    load the pack. Row 0 is the first remaining time step of each flight. The columns of shorter
+    flights are filled up with zeros. Flights that are too short or have no load are left out.
 
     Parameters
     ----------
     frame : DataFrame
-        Rows of all flights with time, voltage and current, from `read_voltages`.
+        Log of all flights from `read_voltages`, with flight, time, voltage and current as columns.
     cells : int
         Number of cells in series.
     """
@@ -218,20 +222,20 @@ class Record:
         return part
 
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """Select the rows that follow the first seconds under load.
+        """Select the time steps of each flight that follow the first seconds under load.
 
         The voltages in the first seconds under load determine the pack's resistance. The errors of
-        the computed voltage are therefore taken over the later rows only.
+        the computed voltage are therefore taken over the later time steps only.
 
         Parameters
         ----------
         rows : ndarray of bool, shape (n_times, n_flights)
-            True for the rows from which to select.
+            True for the time steps of a flight from which to select.
 
         Returns
         -------
         ndarray of bool, shape (n_times, n_flights)
-            True for the selected rows.
+            True for the selected time steps of a flight.
         """
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 
@@ -299,7 +303,7 @@ class Circuit:
         factor : ndarray, shape (n_flights,)
             Factor on the resistance of each flight's pack.
         count : int
-            Number of time steps (rows of the record).
+            Number of time steps, which are the rows of the arrays of `record`.
 
         Returns
         -------

@@ -235,9 +235,9 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 
     Voltage and current follow from eqs. (2) and (3) of the paper (Yacef et al.). The model is valid
     at all speeds and torques of the motor. The copper loss grows with the square of the torque, so
-    the power is convex in the rotor acceleration alpha and in thrust. With regeneration, braking
-    returns the braking power less the loss in the winding. The rotor has no profile drag, so the
-    hover power is half the power of a real aircraft.
+    the power is convex in the rotor acceleration alpha and in thrust. If regeneration is enabled, a
+    braking rotor returns its shaft power less the copper loss in the winding. The rotor has no
+    profile drag, so the hover power is half the power of a real aircraft.
 
     Parameters
     ----------
@@ -261,9 +261,10 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
-    Motor and converter have no loss, and with regeneration braking returns its full power. The
-    shaft power is therefore a lower bound of the power in every other model. It is convex in thrust
-    (exponent 3/2). It is linear in the rotor acceleration, so the rotor acceleration needs a bound.
+    Motor and converter have no loss. If regeneration is enabled, a braking rotor returns its full
+    shaft power. The shaft power is therefore a lower bound of the power in every other model. It is
+    convex in thrust (exponent 3/2). It is linear in the rotor acceleration, so the rotor
+    acceleration needs a bound.
 
     Parameters
     ----------

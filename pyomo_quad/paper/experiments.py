@@ -220,7 +220,9 @@ class PaperFlight:
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of both experiments of Yacef et al. under every power model.
+    """List the settings of both experiments of Yacef et al., once with each of five power models.
+
+    The power models are all of the package except `momentum`, which needs the rotor radius.
 
     Parameters
     ----------
@@ -234,9 +236,9 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of the flight in calm air with two batteries.
+    """List the settings of the flight in calm air, once with each of two batteries.
 
-    The batteries are the pack of the vehicle's maker and the cell of Yacef et al.
+    The first battery is the pack of the vehicle's maker. The second is the cell of Yacef et al.
 
     Parameters
     ----------
@@ -248,9 +250,9 @@ def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of the flight in wind with every interpretation of the wind.
+    """List the settings of the flight in wind, once with each of four interpretations of the wind.
 
-    The wind acts as an acceleration or by drag, and its frequencies are in rad/s or Hz.
+    The wind acts as an acceleration or by drag. In each case, its frequencies are in rad/s or Hz.
 
     Parameters
     ----------

@@ -82,8 +82,8 @@ def literal_model(scenario: Scenario) -> "ConcreteModel":
     Parameters
     ----------
     scenario : Scenario
-        The mission. Its fields must select the interpretation `Reading.LITERAL`, by the values from
-        `Reading.LITERAL.values`.
+        The mission, with the fields that `Reading.LITERAL.values()` returns: the power model must
+        be `efficiency`, which uses f_r, and regeneration must be enabled.
     """
     m = model_without_battery(scenario)
     m.power.torque_floor.set_value(_NO_FLOOR)

@@ -401,16 +401,18 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield an error message for each number of a library file that has a wrong notation.
+    """Yield an error message for each number in a library file that has neither allowed form.
 
-    A number may stand alone, or in a table that has only the keys `value` and `source`.
+    A number may have one of two forms. It stands alone, as in ``mass = 1.3``. Or it is written as a
+    table with no other keys than `value` and `source`, as in
+    ``mass = {value = 1.3, source = "data sheet"}``. The source must be a text.
 
     Parameters
     ----------
     table : mapping
         Part of the file to check, with all nested tables.
     place : tuple of str
-        Path of `table` in the file. Each message gives the full path of a key in the file.
+        Path of `table` in the file, with which each message gives the full path of the wrong key.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -503,9 +505,10 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    A few fields have an initial value besides their default. A new scenario gets the initial value
-    if its file leaves the field out. A stored, complete scenario gets no initial values. The
-    defaults of all other missing fields are added later, by the validation of the tables.
+    A few fields have an initial value, which differs from their default. If a user's scenario file
+    leaves such a field out, this function adds the initial value. It adds no initial values to a
+    scenario that the package has stored, for example in a report. The defaults of all fields that
+    are then still missing are added later, by the validation of the tables.
 
     Parameters
     ----------
@@ -562,8 +565,12 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     """Return the initial values of a scenario's fields, as nested tables.
 
-    Only a few fields have an initial value besides their default. A new scenario gets the initial
-    value if its file leaves the field out. A stored, complete scenario gets the default instead.
+    Every optional field has a default. A few fields also have an initial value, which differs from
+    the default. If a user's scenario file leaves such a field out, the field gets the initial
+    value. The initial value is not for a scenario that the package has stored, for example in a
+    report. A stored scenario lacks such a field in two cases: the field had its default, or the
+    package did not have the field yet. The field gets its default in both cases.
+
     `model` is the Pydantic class of the scenario.
     """
     tables: dict[str, Any] = {}
@@ -762,8 +769,9 @@ class _Filled:
         """Complete the keep-out zones of the table `airspace`.
 
         The field `airspace.file` may name a GeoJSON file. The zones of this file are added to the
-        zones of the scenario. The file of a stored, complete scenario is not read again. Every zone
-        with a concave polygon is then divided into convex parts.
+        zones of the scenario. A scenario that the package has stored, for example in a report,
+        already contains the zones of the file, and the file is not read again. Finally, every zone
+        with a concave polygon is divided into convex parts.
         """
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
@@ -780,8 +788,8 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        A stored, complete scenario may already contain the heights. The file is then not read
-        again.
+        A scenario that the package has stored, for example in a report, may already contain the
+        heights. The file is then not read again.
 
         The floor, `airspace.floor`, is the least allowed height above the ground. If it is missing,
         the function sets it equal to the clearance, `airspace.clearance`, which is the least

@@ -81,9 +81,11 @@ class WorkingCopy:
         A working copy represents one horizon of the model, or the coupling of its horizons. If the
         model has at most one horizon, every constraint belongs to its only working copy.
 
-        A constraint belongs to a horizon if the time of the horizon indexes it. A constraint
-        without time belongs to a horizon if it contains variables or parameters over the time of
-        this horizon, and over no other time. All remaining constraints belong to the coupling.
+        Each horizon has its own continuous set. A constraint belongs to a horizon if the continuous
+        set of the horizon indexes it. A constraint that no continuous set indexes belongs to a
+        horizon if some of its variables or parameters are indexed by the continuous set of this
+        horizon, and none by the continuous set of another. All remaining constraints belong to the
+        coupling.
 
         Parameters
         ----------
@@ -206,15 +208,15 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete components over time for which Pyomo cannot make a member at the template time.
+    """Delete components indexed by time of which Pyomo cannot make a member at the template time.
 
     The template time is an interior time that is added to the continuous set, to read the equations
     over time there. `copy` is the clone of the user's model from which the components are deleted.
     `time` is the continuous set that indexes the components.
 
     The deletion does not change the nonlinear program. Most of the deleted types contribute nothing
-    to the program. Active blocks and objectives over time would contribute to it, but a model that
-    has them is refused earlier.
+    to the program. Active blocks and objectives indexed by time would contribute to it, but a model
+    that has them is refused earlier.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -274,10 +276,10 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Make immutable parameters over time mutable, so that expressions contain their symbols.
+    """Make all parameters mutable that are indexed by time and were declared immutable.
 
     In a Pyomo expression, an immutable parameter appears as its number, but a mutable parameter
-    appears as a symbol. The symbol can be translated to a function of time.
+    appears as a symbol. The symbol can be translated to a function of time; a number cannot.
 
     `copy` is the clone of the user's model that is changed, and `time` the continuous set by which
     the parameters are indexed.

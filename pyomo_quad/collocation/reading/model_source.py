@@ -188,8 +188,8 @@ class LiveModel:
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return a variable's value in the model, None if it is unset or the component is no Var.
 
-        `slot` is the variable. `time` is a member of the continuous set (a declared time), None for
-        a variable without time.
+        `slot` is the variable. `time` is the time of the value, a member of the model's continuous
+        set; None for a variable that is not indexed by time.
         """
         component = self.model.find_component(slot.component)
         if component.ctype is not Var:
@@ -252,8 +252,8 @@ class LiveModel:
         """Return the Pyomo data object of a variable or parameter.
 
         `component` is the Pyomo variable or parameter. `slot` gives the index without the time (i
-        for ``x[i, t]``). `time` is a declared time (member of the continuous set), or None for a
-        variable or parameter without time.
+        for ``x[i, t]``). `time` is the time t, a member of the model's continuous set; None for a
+        variable or parameter that is not indexed by time.
         """
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
@@ -295,16 +295,20 @@ class LiveModel:
         return signal
 
     def load(self, slot: Slot, time: float | None, number: float) -> None:
-        """Set a variable of the Pyomo model to a solved value, unless the user fixed it.
+        """Set a variable of the Pyomo model at one time to its solved value.
+
+        A variable that the user fixed keeps its value.
 
         Parameters
         ----------
         slot : Slot
-            The variable.
+            The variable: one member of a Pyomo variable, for example ``omega[1]`` of
+            ``omega[1, t]``.
         time : float or None
-            Member of the continuous set (declared time); None for a variable without time.
+            The time; it must be a member of the model's continuous set, because Pyomo stores values
+            at these times only. None for a variable that is not indexed by time.
         number : float
-            The value.
+            The solved value.
         """
         component = self.model.find_component(slot.component)
         if component.ctype is Var:
@@ -515,9 +519,9 @@ class ModelSnapshot:
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return the value that a variable had in the model when the problem was pickled.
 
-        `slot` is the variable. `time` is a member of the continuous set (a declared time), None for
-        a variable without time. The result is None if the variable had no value, or if the
-        component was no Var.
+        `slot` is the variable. `time` is the time of the value, a member of the model's continuous
+        set; None for a variable that is not indexed by time. The result is None if the variable had
+        no value, or if the component was no Var.
         """
         return self.variables[slot.name, time]
 

@@ -114,11 +114,12 @@ class _Form:
     Attributes
     ----------
     statement : Statement
-        The first result of this form.
+        The rule's result at the first time at which the result has this form.
     numbers : tuple of float
-        Numbers in the first result.
+        Numbers in `statement`, in the order of their appearance.
     varying : list of int
-        Positions of the numbers that differ in other results.
+        Positions in `numbers`, from 0, of the numbers that differ in the rule's results of this
+        form at other times.
     """
 
     statement: Statement
@@ -126,9 +127,14 @@ class _Form:
     varying: list[int] = field(default_factory=list)
 
     def compare(self, numbers: tuple[float, ...]) -> None:
-        """Record the positions of numbers that differ from the numbers in the first result.
+        """Record which numbers in the form vary, by comparison with a further result of the rule.
 
-        `numbers` are the numbers in another result of this form, in the order of their appearance.
+        The rule is called at many times, and returns an expression each time. Results have the same
+        form if they differ in numbers only. `numbers` are the numbers in a later result of this
+        form, in the order of their appearance. They are compared with the attribute `numbers`, the
+        numbers in the first result of this form. Each position at which they differ is added to the
+        attribute `varying`. In the compiled equations, numbers that vary are data over time, and
+        all others are constants.
         """
         for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
             if number != first and k not in self.varying:

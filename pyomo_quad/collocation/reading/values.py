@@ -271,8 +271,9 @@ class ModelValues:
         by the solve), the range is that of the continuous set. The physical times are then unknown,
         and a rule is called with times of the continuous set instead.
 
-        As a side effect, the method records the widest range so far. When the model is pickled, its
-        rules are sampled over this range.
+        As a side effect, the method records the earliest start and the latest end of the ranges of
+        all its calls. When the model is pickled, piecewise polynomials replace its rules between
+        these two times.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
@@ -410,7 +411,10 @@ class ModelValues:
     def snapshot(self) -> ModelSnapshot:
         """Return the model's current values, for a pickle.
 
-        Functions of time are stored for the widest horizon that any solve has requested.
+        Functions of time, such as the rules of parameters, are stored as piecewise polynomials over
+        a range of times. Each solve may have its own horizon, which replaces the ends of the
+        continuous set. The range contains the continuous set and the horizons of all solves so far:
+        it extends from the earliest start to the latest end of them.
         """
         return self._source.snapshot(self._declared, self._widest)
 
