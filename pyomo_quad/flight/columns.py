@@ -76,7 +76,7 @@ class Column:
 
     @property
     def variable(self) -> str:
-        """Full name of the model's variable in the column, such as "rotors.omega[1]".
+        """Name of the model's variable that the column holds, such as "rotors.omega[1]".
 
         The index of the time is left out.
         """

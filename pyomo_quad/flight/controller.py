@@ -717,10 +717,6 @@ CONTROLLER_STATES = (
 # Fraction of the angular acceleration available at hover that a tilt command may use; the rest
 # rejects disturbances of the attitude.
 _COMMAND_SHARE = 0.6
-# Largest correction by the attitude loop, as a fraction of the same angular acceleration. A larger
-# correction would slow rotors down so far that thrust is lost, and that they regain their speed
-# too late: roll and pitch would then oscillate with growing amplitude.
-_CORRECTION_SHARE = 1.0
 # Ratio of rate gain to angle gain of the command filter: critical damping.
 _CRITICAL = 4.0
 # Indices of the horizontal components, and parts of the controller's state vector.
@@ -777,9 +773,13 @@ class AdaptiveController:
         self._tilt_gain = gains.tilt_command
         self._tilt_lag = 1 / gains.tilt_command + 1 / gains.rotor
         available = self._allocation.tilting_moment_at(self._mass * believed.gravity)
-        turning = [m / inertia for m, inertia in zip(available, self._inertia[:2], strict=True)]
-        self._tilt_acceleration_max = tuple(_COMMAND_SHARE * most for most in turning)
-        self._correction_max = tuple(_CORRECTION_SHARE * most for most in turning)
+        # A larger correction by the attitude loop would slow rotors down so far that thrust is
+        # lost, and that they regain their speed too late: roll and pitch would then oscillate with
+        # growing amplitude.
+        self._correction_max = tuple(
+            moment / inertia for moment, inertia in zip(available, self._inertia[:2], strict=True)
+        )
+        self._tilt_acceleration_max = tuple(_COMMAND_SHARE * most for most in self._correction_max)
         spare = limits.thrust_max / self._mass - believed.gravity
         acceleration_max = believed.gravity + gains.thrust_share * spare
         self._envelope = ThrustEnvelope(

@@ -651,7 +651,7 @@ class MarginSearch:
         least = 0.01 * self._risk
         pressed = [a for a, probability in alone.items() if probability > least]
         # Thrust at its limit would make the covariance wrong; a reserve already avoids that.
-        reserved = KEPT_BY_CONTROLLER & set(self._least)
+        reserved = set(KEPT_BY_CONTROLLER) & set(self._least)
         pressed = [a for a in pressed if a.field not in reserved]
         missed = [m for m in tried.missed if m.field and (m.field in held or m.probability > least)]
         taken = tried.missing_places

@@ -42,13 +42,13 @@ HOLD = "mission.hold"
 RADIUS, SPEED = "mission.radius", "mission.speed_max"
 #: Margin on the duration [s]: increase of the least duration of a plan with free duration.
 DURATION = "mission.duration_min"
-#: Fields that limit thrust and tilt; margins on them leave the controller a reserve to follow the
-#: plan.
-AUTHORITY = ("limits.rotor_speed_max", "limits.thrust_max", "limits.roll_max", "limits.pitch_max")
 #: Fields of the limits on rotor speed and thrust. The controller keeps its commands within these
 #: limits, so that no flight under feedback breaks them. Margins on them serve only to leave a
 #: reserve. They are hard limits in re-planning, which uses the reserve.
-KEPT_BY_CONTROLLER = frozenset(AUTHORITY[:2])
+KEPT_BY_CONTROLLER = ("limits.rotor_speed_max", "limits.thrust_max")
+#: Fields that limit thrust and tilt; margins on them leave the controller a reserve to follow the
+#: plan.
+AUTHORITY = (*KEPT_BY_CONTROLLER, "limits.roll_max", "limits.pitch_max")
 # Largest margin as a fraction of the range from hover to the limit: with more, a plan could hardly
 # leave its start.
 _MOST_OF_AUTHORITY = 0.8

@@ -161,9 +161,9 @@ class PhaseTimes:
         return bisect_left(self.declared[1:-1], time)
 
     def label(self, position: int) -> str:
-        """Return the name of one of the declared times for messages, such as ``t[2.5]``.
+        """Return a declared time as text for messages, such as ``t[2.5]``.
 
-        A declared time is a member of the continuous set. The name consists of the name of the set
+        A declared time is a member of the continuous set. The text consists of the name of the set
         and the time in brackets. `position` is the index of the time in the attribute `declared`.
         """
         return f"{self.name}[{self.declared[position]:g}]"
