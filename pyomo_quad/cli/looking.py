@@ -1,4 +1,4 @@
-"""Commands that inspect without solving: `init`, `check`, `library`, `schema` and `plot`."""
+"""Commands that do not solve a scenario: `init`, `check`, `library`, `schema` and `plot`."""
 
 import json
 import shutil

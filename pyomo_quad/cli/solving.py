@@ -178,7 +178,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save the best iterate of a stopped solve in a separate folder, if nearly feasible.
+    """Save the best iterate of a stopped solve in a separate folder, if it is nearly feasible.
 
     An iterate counts as nearly feasible if its relative constraint violation is at most 1e-4.
 

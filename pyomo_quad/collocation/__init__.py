@@ -206,7 +206,8 @@ def solve(
         but one point are random between the bounds. Only 1 is supported for several continuous
         sets.
     progress : callable, optional
-        Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
+        Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
+        returning False stops the solve.
 
     Returns
     -------

@@ -58,7 +58,8 @@ class Costates:
     stages : ndarray, shape (n_points, n_states)
         Costates at the collocation points, directly from the multipliers.
     hamiltonian : ndarray, shape (n_points,)
-        Hamiltonian of the minimised objective, per unit of time.
+        Hamiltonian H = L + p . dx/dt at the collocation points. L is the integrand of the minimised
+        objective per unit of physical time, p are the costates, and x the states.
     sizes : ndarray, shape (n_states,)
         Largest magnitude of each costate over the horizon, but at least 1e-9 a / b. Here a is the
         magnitude of the objective, and b is the largest magnitude of the state over the horizon.
@@ -202,7 +203,8 @@ def _products(
     z : ndarray, shape (n_unknowns,)
         Unknowns of the program.
     weights : ndarray, shape (n_points, n_path_rows)
-        Weight of each path equation and integrand at each collocation point.
+        Weight of each path equation and integrand at each collocation point. The path equations
+        come first; n_path_rows is the number of path equations and integrands together.
 
     Returns
     -------

@@ -133,14 +133,16 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    A limit with a lower and an upper side gives two one-sided limits for each unknown.
+    Each limit gives an upper and a lower one-sided limit for each of its unknowns. The value of a
+    one-sided limit that the model does not declare is infinite.
 
     Parameters
     ----------
     limits : list of Limit
         Limits on unknowns that the Pyomo model declares.
     scaling : Scaling
-        Scaling factors of the unknowns. The reciprocal of a factor is a reference magnitude.
+        Scaling factors of the unknowns. The reciprocal of an unknown's factor is the reference
+        magnitude, relative to which a violation of the limit is measured.
 
     Yields
     ------
@@ -162,7 +164,8 @@ def _soft_program_rows(
     """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
 
     The limits are those of path inequalities at each collocation point, and those of conditions at
-    single times, such as boundary conditions.
+    single times, such as boundary conditions. Each constraint gives an upper and a lower one-sided
+    limit. The value of a one-sided limit that the model does not declare is infinite.
 
     Parameters
     ----------
@@ -171,7 +174,8 @@ def _soft_program_rows(
     bounds : Bounds
         Lower and upper limits of the constraints.
     scaling : Scaling
-        Scaling factors of the constraints. The reciprocal of a factor is a reference magnitude.
+        Scaling factors of the constraints. The reciprocal of a constraint's factor is the reference
+        magnitude, relative to which a violation of the limit is measured.
 
     Yields
     ------
@@ -246,7 +250,8 @@ class ActiveLimit:
     name : str
         Name of the component that declares the limit.
     limit : float
-        Value of the limit.
+        Value of the limit. If the component declares several limits, for example over time, the
+        value of the first that is active.
     unit : str
         Unit of the limit, "" if it has none.
     share : float
@@ -305,9 +310,9 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Least sum of relative relaxations with which all equations can be satisfied. The sum has one
-        relaxation for each component of the model that declares limits. Infinite if the computation
-        did not converge.
+        Least sum of relaxations with which all equations can be satisfied; dimensionless. The sum
+        has one relaxation for each component of the model that declares limits, relative to the
+        magnitude of these limits. Infinite if the computation did not converge.
     relaxations : tuple of Relaxation
         Relaxations of the components whose limits must all be relaxed to make the problem feasible.
         Empty if all limits can be satisfied.

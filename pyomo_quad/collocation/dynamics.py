@@ -81,9 +81,8 @@ class Instants:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         changed : mapping, optional
-            New values of parameters by full name. The time derivatives of the states and the
-            algebraic variables are not computed again, and must therefore not depend on these
-            parameters.
+            New values of parameters by full name. The rates and the algebraic variables in
+            `inputs` are not computed again. They must therefore not depend on these parameters.
 
         Returns
         -------
@@ -166,10 +165,11 @@ class Dynamics:
         return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side of implicit equations, solved by CasADi's Newton method.
+        """Return the right-hand side as a CasADi function that solves implicit equations.
 
         In implicit equations, rates (derivatives of the states) or algebraic variables enter
-        nonlinearly. The returned function has the inputs and outputs that `_compile` describes.
+        nonlinearly. The returned function solves them by CasADi's Newton method. It has the inputs
+        and outputs that `_compile` describes.
 
         `core` holds the equations: a nonlinear part, which Newton's method solves, and a linear
         part. `inputs` are the symbols of the function's four inputs.
@@ -283,10 +283,10 @@ class Dynamics:
         return np.array([[f, *self._signals(f)] for f in fractions.tolist()])
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols, from which the right-hand side can be written.
+        """Return a column of CasADi symbols of the type that the right-hand side accepts.
 
         The symbols are arguments for the method `written`, which returns dx/dt as an expression.
-        Their type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, otherwise
+        The type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, otherwise
         `casadi.SX`.
 
         Parameters
@@ -592,7 +592,8 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """Names of the states with a given initial value and a free final value.
 
-        The charge of a battery is an example.
+        States that measure consumption, such as the charge drawn from a battery, are of this kind.
+        They need not be constant in steady flight.
         """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.
@@ -675,7 +676,7 @@ class Dynamics:
             States, controls, rates and algebraic variables of the flights, from the method
             `solved`. The n times of a flight are followed by the n times of the next flight.
         t : ndarray, shape (n,)
-            Physical times.
+            Physical times, which are the same for all flights.
 
         Returns
         -------
@@ -909,11 +910,11 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Right-hand side that solves implicit equations by a fixed number of Newton steps.
+    """Right-hand side that solves implicit equations by 20 Newton steps.
 
     In implicit equations, rates (derivatives of the states) or algebraic variables enter
-    nonlinearly. The 20 Newton steps are written out as CasADi expressions. Their evaluation is
-    faster than CasADi's own Newton iteration.
+    nonlinearly. The Newton steps are written out as CasADi expressions. The evaluation of these
+    expressions is faster than CasADi's own Newton iteration.
     """
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:

@@ -42,9 +42,9 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 class FirstSolve(Search[S], Generic[S]):
     """Search for a first solution of a problem, trying fallback strategies in a fixed order.
 
-    The first strategy solves as the caller requested. If this solve fails, the feasibility of the
-    problem is examined. Further strategies then change the initial point, the mesh or the settings
-    of Ipopt.
+    The search normally begins with a solve as the caller requested. If this solve fails, the
+    feasibility of the problem is examined. Fallback strategies then change the initial point, the
+    mesh or the settings of Ipopt.
 
     Attributes
     ----------
@@ -124,10 +124,11 @@ class FirstSolve(Search[S], Generic[S]):
         return fact is Fact.JUDGED and is_judged
 
     def attempt(self, strategy: Strategy) -> S | None:
-        """Solve with the initial point, mesh and settings that a fallback strategy prescribes.
+        """Solve with the initial point, mesh and settings of Ipopt that a strategy prescribes.
 
-        `strategy` is the fallback strategy. The result is the solution, converged or failed; it is
-        None if the strategy does not apply to this problem.
+        `strategy` is the strategy: the solve that the caller requested, or a fallback. The result
+        is the solution, converged or failed; it is None if the strategy does not apply to this
+        problem.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -141,7 +142,7 @@ class FirstSolve(Search[S], Generic[S]):
         return found
 
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
-        """Solve from the initial point that a fallback strategy prescribes; return the result.
+        """Solve from the initial point that a solution strategy prescribes; return the result.
 
         This class solves problems with several horizons. It ignores `first`, and always begins at
         the warm start or guess that the caller gave. The subclass `FirstSolveOfOne`, for one
@@ -203,12 +204,12 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     bounds_of : callable
         Function from a nonlinear program on one mesh (a `Transcription`) to the bounds of its
         unknowns and constraints. The bounds include all conditions (constraints at single times),
-        even redundant conditions.
+        even redundant conditions, which follow from other equations.
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
         trajectory. The function returns None if the model has controls or free initial states,
         because a simulation would need values of them. The attribute is None if the caller gave a
-        guess.
+        guess or a warm start, or gave no tolerance.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None
@@ -252,7 +253,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return known[fact] if fact in known else super().holds(fact)
 
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
-        """Solve from the initial point that a fallback strategy prescribes; return the result.
+        """Solve from the initial point that a solution strategy prescribes; return the result.
 
         The kinds of initial points are:
 
@@ -301,8 +302,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _simulated(self) -> Any:
         """Return a trajectory simulated from the initial states, as an initial point.
 
-        The result is None if the model has controls or free initial states, or if the caller gave a
-        guess.
+        The result is None if the model has controls or free initial states. The result is also None
+        if the caller gave a guess or a warm start, or gave no tolerance.
         """
         return self.simulate and self.simulate()
 

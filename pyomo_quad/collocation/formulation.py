@@ -96,10 +96,10 @@ class WrittenComponents:
 
 
 class Evaluator:
-    """Compiler and evaluator of model components at points, with a cache of compiled functions.
+    """Evaluator of model components at single times, by compiled and cached CasADi functions.
 
-    A component is a variable, derivative or named expression over time. Its CasADi function has
-    five inputs, evaluated at one time:
+    A component is a variable, derivative or named expression over time. The CasADi function that
+    evaluates it has five inputs, which are values at one time:
 
     - rates: derivatives of the states with respect to the fraction of the horizon;
     - states;
@@ -235,7 +235,7 @@ class Evaluator:
         return self._functions[keys]
 
     def __call__(self, keys: tuple[tuple[str, Any], ...], *inputs: FloatArray) -> FloatArray:
-        """Evaluate components at n points.
+        """Evaluate components of the model at n points in time.
 
         Parameters
         ----------
@@ -698,8 +698,10 @@ class StructuralIndex:
         Structural index: the number of times by which the equations must be differentiated to
         obtain an ODE; 0 for an ODE.
     differentiated : dict
-        Name of an equation -> number of differentiations with respect to time. Equations that need
-        no differentiation are left out.
+        Name of an equation -> number of differentiations with respect to time. After these
+        differentiations, the equations determine the highest derivative of each of their variables.
+        Equations that need no differentiation are left out. The largest number is `index` - 1 for a
+        DAE with algebraic variables.
     """
 
     index: int

@@ -154,7 +154,7 @@ class _Known:
     program : Transcription
         Nonlinear program on one mesh, for which the initial point is made.
     bounds : Bounds
-        Bounds of the program's unknowns; equal bounds give an unknown a known value.
+        Bounds of the program's unknowns. The value of an unknown with equal bounds is known.
     values : ModelValues
         Reader of the values in the Pyomo model.
     given : mapping or DataFrame

@@ -307,7 +307,8 @@ class JointProblem(Summarised):
         refinement : RefinementOptions, optional
             Settings of the mesh refinement.
         progress : callable, optional
-            Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
+            Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
+            returning False stops the solve.
 
         Returns
         -------

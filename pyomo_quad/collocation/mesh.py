@@ -223,7 +223,7 @@ class Trajectory:
     statics: FloatArray
 
     def states_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the state polynomials.
+        """Evaluate the polynomials of the states at fractions of the horizon.
 
         Parameters
         ----------
@@ -237,7 +237,7 @@ class Trajectory:
         return interpolate(self.mesh, self.states, fractions, with_start=True)
 
     def rates_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the derivatives of the state polynomials.
+        """Evaluate the derivatives of the states' polynomials at fractions of the horizon.
 
         The derivatives are taken with respect to the fraction of the horizon.
 
@@ -254,7 +254,10 @@ class Trajectory:
         return interpolate_rates(self.mesh, self.states, fractions)
 
     def algebraics_at(self, fractions: FloatArray) -> FloatArray:
-        """Evaluate the polynomials through the algebraic variables (controls included).
+        """Evaluate the polynomials of the algebraic variables at fractions of the horizon.
+
+        In each element, the polynomials pass through the values at the collocation points. The
+        algebraic variables include the controls.
 
         Parameters
         ----------
@@ -421,8 +424,10 @@ def interpolate(
     ----------
     mesh : Mesh
     values : ndarray, shape (n_points + 1, k) or (n_points, k)
-        Values at nodes if `with_start`, else at collocation points.
+        Values of k variables at the nodes (start of the horizon and collocation points) if
+        `with_start` is True, and at the collocation points only if it is False.
     fractions : ndarray, shape (n,)
+        Times as fractions of the horizon.
     with_start : bool
         Whether each element's polynomial also passes through the value at the element's left end.
 
@@ -456,8 +461,9 @@ def interpolate_rates(mesh: Mesh, states: FloatArray, fractions: FloatArray) -> 
     ----------
     mesh : Mesh
     states : ndarray, shape (n_points + 1, n_states)
-        Values at the nodes.
+        Values at the nodes: start of the horizon and collocation points.
     fractions : ndarray, shape (n,)
+        Times as fractions of the horizon.
 
     Returns
     -------
@@ -654,7 +660,7 @@ class Mesh(Summarised):
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Mesh:
-        """Read a mesh from untrusted arrays.
+        """Read a mesh from untrusted arrays, for example from a file, and check the arrays.
 
         Parameters
         ----------
@@ -754,8 +760,8 @@ class Mesh(Summarised):
     def locate(self, fractions: FloatArray) -> NDArray[np.intp]:
         """Return the index of the element that contains each of several times.
 
-        A time at an element boundary belongs to the element that ends there. Rounding errors, for
-        example of a fraction that was computed from a time in seconds, do not change this.
+        A time at an element boundary belongs to the element that ends there. A time that exceeds a
+        boundary only by a rounding error also belongs to the element that ends there.
 
         Parameters
         ----------

@@ -56,8 +56,9 @@ class OpenLoopSteps:
     ) -> FloatArray:
         """Simulate the vehicle over given times.
 
-        Each time is the end of a step. A step whose estimated error is above the tolerance is
-        halved until the error is below.
+        One Runge-Kutta step leads from each time to the next. If a time-dependent parameter jumps
+        in between, a step ends at the jump. A step whose estimated error is above the tolerance is
+        replaced by shorter steps.
 
         Parameters
         ----------
@@ -66,15 +67,15 @@ class OpenLoopSteps:
         times : ndarray, shape (n,)
             Increasing times [s].
         control : callable
-            Function that returns the controls at m times, shape (m, n_controls). It is smooth
-            between the first and the last time.
+            Function from m times [s], shape (m,), to the controls at these times, shape (m,
+            n_controls). The function must be smooth between the first and the last time.
         tolerance : float
             Largest error of a step, absolute and relative.
 
         Returns
         -------
         ndarray, shape (n, n_joint)
-            Joint states at the times.
+            Joint states at the given times.
 
         Raises
         ------
@@ -101,9 +102,15 @@ class OpenLoopSteps:
     ) -> FloatArray:
         """Return the joint state at the end of a time span that needs several steps.
 
-        A step whose error is above the tolerance is halved. `joint` is the joint state at the start
-        of the span. `span` has the start and the end of the span [s]. The method `carried`
-        describes `control`, `tolerance` and the error that is raised.
+        A step whose estimated error is above the tolerance is halved. `joint` is the joint state at
+        the start of the span. `span` has the start and the end of the span [s]. `control` returns
+        the controls at an array of times [s]. `tolerance` is the largest error of a step, absolute
+        and relative.
+
+        Raises
+        ------
+        SolveError
+            If the span needs more than 300 steps.
         """
         start, ends = span[0], [span[1], 0.5 * (span[0] + span[1])]
         for _ in range(_MOST_STEPS):
@@ -145,8 +152,11 @@ class OpenLoopSteps:
     ) -> tuple[FloatArray, float]:
         """Return the joint state after one step, and the step's error relative to the tolerance.
 
-        `joint` is the joint state before the step. `inputs` are the further inputs of the step; see
-        `_step`.
+        `joint` is the joint state before the step. `inputs` are the three further inputs of the
+        function that `_step` returns: the time-dependent inputs of the equations at all stages, the
+        controls at all stages, and the duration of the step [s]. `tolerance` is the largest error,
+        absolute and relative. The returned error is 1 if the estimated error equals the tolerance,
+        and infinite if the new joint state is not finite.
         """
         outputs = self._step(joint[None, :], *(values[None, :] for values in inputs))
         after, high, low = (output[0] for output in outputs)

@@ -156,7 +156,8 @@ class Problem(Summarised, Formulation):
             others are random points between the bounds. The best optimum is kept. A global optimum
             is not guaranteed.
         progress : callable, optional
-            Called with an `Iteration` at each iteration of Ipopt; returning False stops the solve.
+            Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
+            returning False stops the solve.
 
         Returns
         -------

@@ -50,9 +50,10 @@ _JUST_BEFORE = 1e-9
 def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     """Return a warning if the Hamiltonian varies although the problem is autonomous.
 
-    The Hamiltonian of an autonomous problem (no explicit dependence on time) is constant along an
-    optimum, between the times of interior conditions. If it varies by more than mesh errors can
-    explain, the costates are wrong.
+    A problem is autonomous if nothing in it depends on time explicitly. The Hamiltonian is then
+    constant along an optimum, but may jump where a condition holds at a time inside the horizon. If
+    the Hamiltonian varies between these times by more than mesh errors can explain, the costates
+    are wrong.
 
     Parameters
     ----------
@@ -236,8 +237,8 @@ class Solution(Outcome):
     scaling : Scaling
         Scaling factors of the program.
     restraint : Restraint or None
-        Change of the objective caused by bounds that are imposed between the collocation points;
-        None if bounds are imposed at the points only.
+        Estimated increase of the objective by bounds that are imposed between the collocation
+        points, for each element; None if bounds are imposed at the collocation points only.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """

@@ -54,9 +54,10 @@ class ColdStart:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> ColdStart | None:
-        """Read the record from a mapping of array names to untrusted arrays.
+        """Read the record from untrusted arrays by name, for example from a file, and check it.
 
-        The result is None if the mapping has no array named "cold_start".
+        The record is the array named "cold_start", as the property `array` returns it. The result
+        is None if the mapping has no array of this name.
 
         Raises
         ------
@@ -79,7 +80,7 @@ class WarmStart:
     Attributes
     ----------
     model : str
-        Fingerprint of the equations to which the multipliers belong.
+        Fingerprint (hash) of the equations to which the multipliers belong.
     trajectory : Trajectory
         States, algebraic variables and static variables.
     lower, upper : Trajectory
@@ -202,7 +203,7 @@ class WarmStart:
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> WarmStart:
-        """Read a warm start from untrusted arrays.
+        """Read a warm start from untrusted arrays, for example from a file, and check them.
 
         Parameters
         ----------

@@ -123,11 +123,11 @@ class Strategy:
         previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
     iterations : float or None
         Limit of iterations of the solve on each mesh; infinite for no limit. None only for the
-        strategy "warm start", which solves the whole problem from the caller's warm start. The warm
-        start may contain the numbers of iterations that an earlier solve from the guess took, with
-        the same tolerance. There are two such numbers, one for the first mesh and one for all
-        meshes together. The first is then the limit on the first mesh, and the second is the limit
-        on all meshes together. If the warm start does not contain them, there is no limit.
+        strategy "warm start", which solves the whole problem from the caller's warm start. The
+        limits of this strategy are two numbers that the warm start may contain: the iterations that
+        an earlier solve from the guess took on the first mesh, and on all meshes together. If the
+        warm start does not contain these numbers, or if they belong to another tolerance, there is
+        no limit.
     times : int
         How often the strategy may be tried.
     """

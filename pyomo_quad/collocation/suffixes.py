@@ -215,7 +215,8 @@ def _assign_bounds(
         Receives the derivatives for bounds that the Pyomo model declares by a constraint on a
         single variable.
     reduced : Sensitivities
-        Receives the derivatives for bounds that the Pyomo model declares with a variable.
+        Receives the derivatives for bounds that the Pyomo model gives in the declaration of a
+        variable.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled

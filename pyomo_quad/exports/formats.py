@@ -404,9 +404,10 @@ def export_plan(
         sea; by default the origin that the mission gives. Missions of ground stations need an
         origin.
     path_error_m : float, optional
-        Largest permitted distance of waypoints or polynomial pieces from the plan.
+        Largest permitted distance [m] from the plan of the legs between waypoints, or of the
+        polynomial pieces, for formats with waypoints or pieces. Each format has its own default.
     rate_hz : float, optional
-        Setpoints per second.
+        Setpoints or trajectory points per second, for PX4 and ROS 2; 50 by default.
     is_code_allowed : bool, optional
         Whether to run the Python model builder that the scenario names, if it names one.
 

@@ -104,9 +104,9 @@ class Legs:
         return np.column_stack([np.interp(t, self.times, axis) for axis in self.places.T])
 
     def shapes_path(self, number: int) -> bool:
-        """Return whether a position is none of the mission's start, waypoints and goal.
+        """Return whether a position is neither start, goal nor waypoint of the mission.
 
-        Such a position only makes the legs follow the plan's path.
+        Such a position has been added only to make the straight legs follow the plan's curved path.
 
         Parameters
         ----------
@@ -167,15 +167,16 @@ def mission(
 ) -> dict[str, Any]:
     """Convert a plan to the content of a QGroundControl plan file, as nested mappings.
 
-    The file has the fence and the rally points of the plan's scenario. Keep-out zones of finite
-    height are left out of the file's fence, because the flight may pass above them.
+    The file has the fence and the rally points of the plan's scenario. Keep-out zones with a bottom
+    or a top are left out of the file's fence, because the flight may pass below or above them.
 
     Parameters
     ----------
     legs : Legs
         Straight legs from `thin`.
     origin : GeodeticOrigin
-        Position of the plan's origin on earth, the home of the file, from which heights count.
+        Position of the plan's origin on earth. It becomes the home position of the file, from whose
+        altitude the heights in the file count.
     motion : Motion
         The plan's motion.
     path_error_m : float

@@ -104,8 +104,8 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states of the filters that model turbulence: state name -> value.
 
-    `dynamics` has the equations of the simulated vehicle. The values are those at the start of the
-    Pyomo model. The result is empty if the equations include no turbulence.
+    `dynamics` has the equations of the simulated vehicle. The values are those that the Pyomo model
+    sets at its first time. The result is empty if the equations include no turbulence.
     """
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
@@ -114,7 +114,10 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 
 
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
-    """Return the initial states that the mission defines: hover at the start, and battery states.
+    """Return the initial states that the mission defines: hover at its start, and battery states.
+
+    In hover, the attitude angles, the velocity and the body rates are zero, except that the yaw
+    angle is the heading at the start of the mission.
 
     Parameters
     ----------
@@ -208,8 +211,8 @@ class TumblingGuard:
     duration : float
         Duration of the flight [s]. The limit rises with the duration.
     jumps : int, optional
-        Number of times at which the integrator is restarted, because the data of the equations
-        jump. The limit rises with this number.
+        Number of times at which the integrator is restarted, because an input of the equations,
+        such as the noise of the turbulence, jumps. The limit rises with this number.
     """
 
     def __init__(self, flight: str, duration: float, jumps: int = 0) -> None:
@@ -219,7 +222,7 @@ class TumblingGuard:
         self._most += _MOST_EVALUATIONS_PER_JUMP * jumps
 
     def evaluated(self, t: float) -> None:
-        """Count an evaluation of the right-hand side; raise an error if there are too many.
+        """Count an evaluation of the differential equations; raise an error if there are too many.
 
         Parameters
         ----------
@@ -231,7 +234,7 @@ class TumblingGuard:
         SolveError
             If the number of evaluations exceeds the limit, which means that the vehicle tumbles.
         TimeIsUpError
-            If the time limit of the command has passed.
+            If the limit on processor time, `solver.time_limit` in the scenario, has passed.
         """
         keep_time()
         self.evaluations += 1
@@ -472,8 +475,8 @@ def fly_baseline(
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times. If the reference is an autopilot's cruise, the times must come
-        from the function `routes.cruise_at`.
+        The mission with fixed times. If the reference is an autopilot's cruise, the function
+        `routes.cruise_at` must have set these times, which follow from the cruise speed.
     reference : Reference
         Kind of path that the controller follows.
     dynamics : Dynamics
@@ -669,7 +672,8 @@ def assembled_flight(
     Returns
     -------
     Flight
-        Verified if the integrators agree on each part and the battery can supply the power.
+        The whole flight. It is verified if the integrators agree on each part and the battery can
+        supply the power. The attribute `owed_energy_J` is the estimate of the energy still needed.
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
@@ -856,7 +860,8 @@ def _doubts(
     is the whole flight as simulated by the first integrator. `dynamics` is the simulated vehicle.
 
     There are two kinds of reasons. First, the two integrators differ too much in the final position
-    or in the energy. Second, the battery cannot supply the power, the charge or the voltage.
+    or in the energy. Second, the battery cannot supply the power, the charge or the voltage that
+    the flight needs.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])

@@ -43,8 +43,10 @@ class LimitDistance:
     """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
     The constraint is a path constraint, such as the limit on the roll angle. It has a lower bound,
-    an upper bound, or both. The flights follow one plan under feedback. The arrays have one entry
-    for each of n times. A distance is positive within the bound and negative beyond the bound.
+    an upper bound, or both. The distance is the difference between the bound and the value of the
+    constrained quantity, such as the roll angle. It is positive within the bound and negative
+    beyond the bound. The flights follow one plan under feedback. The arrays have one entry for each
+    of n times.
 
     Attributes
     ----------
@@ -233,7 +235,7 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Miss:
-    """Random samples of the distance or speed of flights in turbulence at a goal or waypoint.
+    """Random samples of flights in turbulence: distance from a goal or waypoint, or speed there.
 
     The samples are of one quantity that the mission limits: the distance of the vehicle from the
     goal or waypoint, or the speed of the vehicle there. Each instant at which the limit applies has
@@ -244,10 +246,10 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Scenario field to tighten for the plan so that fewer flights break the limit, such as the
-        radius of the waypoint. The string is empty if tightening a field cannot help. An example is
-        the goal, because every plan already reaches the goal exactly. In this case, only a larger
-        reserve of thrust for the controller makes fewer flights break the limit.
+        Name of the scenario field to tighten for the plan so that fewer flights break the limit,
+        such as the radius of the waypoint. The string is empty if tightening a field cannot help.
+        An example is the goal, because every plan already reaches the goal exactly. In this case,
+        only a larger reserve of thrust for the controller makes fewer flights break the limit.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -261,9 +263,10 @@ class Miss:
 
     @property
     def probability(self) -> float:
-        """Probability that a flight is too far from the place, or too fast, at one of the instants.
+        """Upper bound on the probability that a flight breaks the limit at one of the instants.
 
-        It is the sum of the probabilities at the instants, at most 1.
+        A flight breaks the limit if it is too far from the goal or waypoint, or too fast there. The
+        bound is the sum of the probabilities at the instants at which the limit applies, at most 1.
         """
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 
@@ -275,17 +278,17 @@ class Miss:
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return how much smaller the distances [m] or speeds [m/s] must be to keep the limit.
+        """Return by how much the distances [m] or speeds [m/s] must decrease to keep the limit.
 
         The limit counts as kept if a flight breaks it with at most the probability `share`. The
-        result is zero if no reduction is needed.
+        result is zero if no decrease is needed.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return random samples of the distances and speeds of flights at the goal and the waypoints.
+    """Return random samples of flights' distances from the goal and waypoints, and speeds there.
 
     Parameters
     ----------
@@ -297,7 +300,7 @@ def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
     Returns
     -------
     tuple of Miss
-        Samples and their limit, for each distance and speed that the mission limits.
+        One entry for each distance or speed that the mission limits: its samples and its limit.
     """
     draws = np.random.default_rng(0).standard_normal((_SAMPLES, 3))
     mission, still = scenario.mission, np.zeros(3)

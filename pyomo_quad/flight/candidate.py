@@ -60,9 +60,10 @@ class AlongShortest:
     """Starting point of a search for a plan: the mission's solution along its shortest route.
 
     A mission with keep-out zones or a wind field has several routes. Before the search for a plan,
-    another search finds the best order of the waypoints. It already solves the mission along the
-    shortest route, on a single coarse mesh. `flight` is this solution. The search for a plan then
-    solves the mission along the other routes only, and compares their solutions with `flight`.
+    another search finds the best order of the waypoints. This other search already solves the
+    mission along the shortest route, on a single coarse mesh. `flight` is this solution. The search
+    for a plan then solves the mission along the other routes only, and compares their solutions
+    with `flight`.
     """
 
     flight: Solution
@@ -196,10 +197,13 @@ class Candidate:
     def from_flight(self) -> str | None:
         """Solve the mission from the solution of a similar problem, on the mesh of that solution.
 
+        The solution of the similar problem is the attribute `start`, the starting point of the
+        search. It serves as initial guess.
+
         Returns
         -------
         str or None
-            The solver's status if the solve failed.
+            The solver's status as text if the solve failed, otherwise None.
         """
         if not isinstance(self.start, Solution):
             return None
@@ -212,8 +216,8 @@ class Candidate:
         """Return the trajectory of a similar problem, for use as an initial guess of the mission.
 
         `mission` is the problem to solve, `similar` the solution of the similar problem. Both
-        problems have the same static variables (variables that are constant in time), but perhaps
-        in another order. The result has the order of `mission`.
+        problems have the same static variables (variables that are constant in time), but the order
+        of these variables may differ. The result has the order of `mission`.
         """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
@@ -247,7 +251,7 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status if the solve failed.
+            The solver's status as text if the solve failed, otherwise None.
         """
         # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
@@ -266,10 +270,13 @@ class Candidate:
     def from_plan(self) -> str | None:
         """Solve the mission from the trajectory of a plan, on the mesh of that plan.
 
+        The plan is the attribute `start`, the starting point of the search. Its trajectory serves
+        as initial guess.
+
         Returns
         -------
         str or None
-            The solver's status if the solve failed.
+            The solver's status as text if the solve failed, otherwise None.
         """
         if isinstance(self.start, Plan):
             start = self.start.warm_start
@@ -299,7 +306,7 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status if the solve failed.
+            The solver's status as text if the solve failed, otherwise None.
         """
         mission, told = self.mission, self.mission.told
         guess = guess_of(told, mission.steady)
@@ -327,7 +334,7 @@ class Candidate:
         Returns
         -------
         str or None
-            The solver's status if the solve failed.
+            The solver's status as text if the solve failed, otherwise None.
         """
         self.solution = self.mission.solve_from()
         return self._outcome()
@@ -647,7 +654,7 @@ class Candidate:
         A flight deviates, for example, if it misses the required final state, breaks a limit, or
         needs another energy than the plan, by more than the requested tolerances. A finer mesh may
         then help. The result is False if the battery cannot supply the simulated flight, because a
-        finer mesh does not help then. The result is also False after the time limit of the command.
+        finer mesh does not help then. The result is also False after the time limit of the search.
         """
         plan = self.flown
         is_over = self.search.deadline.is_over

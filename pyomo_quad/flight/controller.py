@@ -479,7 +479,8 @@ class BacksteppingLoop:
         Returns
         -------
         list of nine floats
-            The states of the loop.
+            The states of the loop: three values of xi_p (effect of the lag on the error), three of
+            xi_v (effect of the lag on the rate of the error), three of the estimated disturbance.
         """
         shrink = _shrink(error, self.reach)
         missing = [
@@ -500,20 +501,20 @@ class BacksteppingLoop:
         Parameters
         ----------
         error, error_rate : sequence of three floats
-            Tracking error e and its rate e'.
+            Tracking error, the actual value minus the reference value for each axis, and its rate.
         reference_acceleration : sequence of three floats
             Acceleration of the reference.
         achieved_acceleration : sequence of three floats
             Acceleration that the actuators produce now, without the disturbance.
         states : sequence of nine floats
-            The loop's states.
+            The loop's states, in the order in which `started` returns them.
 
         Returns
         -------
         demand : list of three floats
-            Commanded acceleration a_d.
+            Commanded acceleration for each axis.
         rates : list of nine floats
-            Time derivatives of the loop's states.
+            Time derivatives of the loop's states, in the same order as `states`.
         """
         lags, lag_rates, estimate = states[:3], states[3:6], states[6:]
         compensated = [e - lag for e, lag in zip(error, lags, strict=True)]
@@ -628,8 +629,9 @@ def followed_tilt(believed: Scenario) -> float:
 class ThrustEnvelope:
     """Set of accelerations of the vehicle that the limits of thrust and tilt allow.
 
-    The acceleration is that of the motion, which is zero in hover. Thrust divided by mass is this
-    acceleration plus the gravitational acceleration, directed upwards.
+    An acceleration in this set is the second time derivative of the position, zero in hover. The
+    thrust vector divided by the mass is the sum of this acceleration and an upward vector of length
+    `gravity`.
 
     Parameters
     ----------
@@ -652,8 +654,8 @@ class ThrustEnvelope:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
         The planned acceleration itself is not reduced. If it needs more thrust or tilt than the
-        limits of this set allow, these limits are raised to what it needs. The reason: a plan
-        already keeps the limits of the vehicle.
+        limits of this set allow, these limits are raised to what it needs. This is safe, because
+        a plan keeps the limits of the vehicle itself.
 
         Parameters
         ----------

@@ -87,9 +87,9 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
 class WindMap:
     """Horizontal wind at any place and time, by linear interpolation in the data of a wind field.
 
-    `told` is the mission in its forecast wind, which has a field. The search for routes evaluates
-    the wind very often. Linear interpolation is used because it is faster than the spline that
-    represents the wind in the Pyomo model.
+    `told` is the mission in its forecast wind, which must be a wind field. The search for routes
+    evaluates the wind very often. Linear interpolation is used because it is faster than the spline
+    that represents the wind in the Pyomo model.
     """
 
     def __init__(self, told: Scenario) -> None:
@@ -249,7 +249,7 @@ def corridor_journeys(
     Parameters
     ----------
     told : Scenario
-        The mission in its forecast wind, which has a field.
+        The mission in its forecast wind, which must be a wind field.
     steady : SteadyFlight
         Calculator of steady flight in still air, which gives the power.
     shortest : tuple of Route
@@ -361,7 +361,7 @@ def _grid(
     Parameters
     ----------
     told : Scenario
-        The mission in its forecast wind, which has a field.
+        The mission in its forecast wind, which must be a wind field.
     ends : ndarray, shape (2, 3)
         Start and goal of the leg [m].
 
@@ -515,8 +515,8 @@ class _Search:
     def _without_needless_corners(self, places: FloatArray) -> FloatArray:
         """Return a route without needless corners.
 
-        Corners are needless if a straight line past them costs no more. `places` has the corners of
-        the route, shape (n, 3) [m].
+        Corners are needless if a straight line that leaves them out costs no more. `places` has the
+        corners of the route, shape (n, 3) [m]. The result has the remaining corners, shape (m, 3).
         """
         kept = [0]
         while kept[-1] < len(places) - 1:

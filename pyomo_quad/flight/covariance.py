@@ -58,7 +58,7 @@ class Spread:
     covariance : ndarray, shape (n, n_states, n_states)
         Covariance of the vehicle's states.
     onward : ndarray, shape (n - 1, n_states, n_states)
-        Covariance between the states at one time and at the next.
+        Covariance between the states at one time (rows) and at the next time (columns).
     dynamics : Dynamics
         Equations of the vehicle in the mean wind, without gusts.
     """
@@ -86,8 +86,8 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times, `wind.turbulence`, and the stated errors of forecast, mass and
-        power.
+        The mission with fixed times. Its field `wind.turbulence` defines the turbulence. It also
+        states the standard deviations of the errors of wind forecast, mass and power.
     plan : Plan
         Plan that the adaptive controller follows.
     planner : Planner
@@ -97,7 +97,7 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     -------
     Spread
         Distribution at equally spaced times from start to end of the flight. The spacing is at most
-        `NOISE_STEP` [s]. Over this time, the noise of the turbulence is constant.
+        `NOISE_STEP` [s], the time step over which the noise of the turbulence is constant.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -148,7 +148,7 @@ def propagated(
     ndarray, shape (n + 1, n_x, n_x)
         Covariances at the start and after each step.
     ndarray, shape (n, n_x, n_x)
-        Covariances between the states before and after each step (lag-one covariances).
+        Covariances between the states before (rows) and after (columns) each step.
     """
     n, n_x, n_constants = constants.shape
     gusts = [start]
@@ -178,7 +178,7 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
     covariance : ndarray, shape (n, n_x, n_x)
         Covariance of the states at n times.
     onward : ndarray, shape (n - 1, n_x, n_x)
-        Covariance between the states at one time and at the next.
+        Covariance between the states at one time (rows) and at the next time (columns).
 
     Returns
     -------

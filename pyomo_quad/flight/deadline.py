@@ -1,6 +1,7 @@
-"""Time limit of a command, shared by all its solves and simulated flights.
+"""Time limit of a command of the user, shared by all its solves and simulated flights.
 
-The limit counts processor time, so that the load of the machine does not change any result.
+A command is one task for this package, such as planning a mission. The limit counts processor time,
+so that the load of the machine does not change any result.
 """
 
 from __future__ import annotations
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
 
 
 class TimeIsUpError(SolveError):
-    """Error that ends a simulated flight when the time limit of the command has passed."""
+    """Error that ends a simulated flight when the limit on processor time has passed.
+
+    The limit is the field `solver.time_limit` of the scenario.
+    """
 
 
 @dataclass
@@ -68,8 +72,9 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
-    A command has a single time limit. Inside the block of another deadline, the limit of the outer
-    deadline applies, and the limit of `scenario` is ignored.
+    A command of the user, such as planning a mission, has a single time limit. Inside the block of
+    another deadline, the limit of the outer deadline therefore applies, and the limit of `scenario`
+    is ignored.
 
     Parameters
     ----------
@@ -112,12 +117,12 @@ class Deadline:
 
     @property
     def limit_s(self) -> float:
-        """Time limit of the command [s of processor time]."""
+        """Time limit of the outermost `Deadline` block, from its start [s of processor time]."""
         return self._watch.limit_s
 
     @property
     def is_over(self) -> bool:
-        """Whether the time limit of the command had passed at the last check."""
+        """Whether the time limit of this block had passed at the last check."""
         return self._watch.is_over
 
 

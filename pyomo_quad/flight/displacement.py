@@ -1,4 +1,4 @@
-"""Displacements of a path on a coarse mesh that lead its simulated flight out of keep-out zones.
+"""Displacements that move the path of a coarse solution out of keep-out zones.
 
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
 zones. A vehicle that follows the path under feedback then enters the zones too; the module
@@ -74,7 +74,7 @@ Displacement = tuple[Push, ...]
 
 
 def displaced(times: FloatArray, displacement: Displacement) -> tuple[FloatArray, FloatArray]:
-    """Return a displacement and its rate at n times.
+    """Return the displacement of a path, and its time derivative, at n times.
 
     Parameters
     ----------

@@ -27,7 +27,7 @@ _SAMPLES = 2001
 
 
 def departures(plan: "Plan") -> tuple[str, ...]:
-    """Return a message for each quantity with which a plan leaves its vehicle's validated range.
+    """Return a message for each quantity of a plan that leaves its vehicle's validated range.
 
     The validated range of airspeed, climb, descent and payload is the range that measured flights
     cover.

@@ -213,9 +213,9 @@ class Flight(Summarised):
             Energy that the vehicle still needs at the end of the flight to reach the required final
             state [J]. NaN if it is not known.
         allowed : mapping, optional
-            Name of a limit without its index -> additional tolerance on its violation, in the unit
-            of the limit. A limit counts as broken if its violation exceeds both tolerances: this
-            one, and the relative one of `accuracy`.
+            Name of a limit without its index, such as "mission.hold_speed" -> additional tolerance
+            on its violation, in the unit of the limit. A limit counts as broken if its violation
+            exceeds both tolerances: this one, and the relative one of `accuracy`.
         accuracy : Accuracy, optional
             Accuracy level, which sets the tolerance on the relative violation of every limit.
         """
@@ -262,8 +262,8 @@ def broken_limits(
     breaches : sequence of Violation
         Largest violation of each limit.
     allowed : mapping
-        Name of a limit without its index -> tolerance on its violation, in the unit of the limit;
-        zero for limits that it does not contain.
+        Name of a limit without its index, such as "mission.hold_speed" -> tolerance on its
+        violation, in the unit of the limit. The tolerance of a missing name is zero.
     breach : float
         Second tolerance, relative to the larger of 1 and the limit. A limit is returned if its
         violation exceeds both tolerances.
@@ -283,9 +283,9 @@ def broken_limits(
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
     """Return whether a violation of a limit exceeds both of its tolerances.
 
-    `found` is the violation. `allowed` maps names of limits without their index to tolerances in
-    the unit of the limit. The tolerance of a missing name is zero. `breach` is the relative
-    tolerance: it is multiplied by the larger of 1 and the limit.
+    `found` is the violation. `allowed` maps names of limits without their index, such as
+    "mission.hold_speed", to tolerances in the unit of the limit. The tolerance of a missing name is
+    zero. `breach` is the relative tolerance: it is multiplied by the larger of 1 and the limit.
     """
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 

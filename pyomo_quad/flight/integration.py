@@ -54,7 +54,8 @@ def integrate(
     edges : sequence of float
         Increasing times [s] between which the rates are smooth; edges outside the span are ignored.
     flight, remedy : str
-        Beginning and end of the message if the integration fails.
+        Name of the flight, and advice to the user: the beginning and the end of the error message
+        if the integration fails.
     **options
         Further options of `scipy.integrate.solve_ivp`.
 

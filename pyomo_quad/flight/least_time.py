@@ -137,6 +137,8 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
 class Approach:
     """Sequence of plans whose durations decrease towards the least duration of a mission.
 
+    Each plan has the least energy for its duration. The plans end as soon as one is not verified.
+
     Attributes
     ----------
     scenario : Scenario

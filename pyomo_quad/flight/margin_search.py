@@ -182,7 +182,8 @@ class _Tried:
     def predicted(self) -> float:
         """Upper bound on the probability that a flight along the plan breaks any limit.
 
-        It is the sum of the probabilities for the single limits (Boole's inequality).
+        It is the sum of the probabilities for the single limits (Boole's inequality). The limits on
+        rotor speed and thrust are left out, because the controller itself keeps them.
         """
         by_limits = sum(
             limit.present_probability
@@ -359,12 +360,12 @@ class MarginSearch:
         return self._seed
 
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
-        """Reduce the margins of a plan if they cost much energy, while it still passes its test.
+        """Reduce margins that cost much energy, as long as test flights confirm the new plan.
 
         Margins are the amounts by which limits are tightened for the plan. `best` is a plan that
         passed its test flights. `failed` has the plans tried before `best`, with the results of
         their test flights. Each new margin is halfway between the margin of `best` and that of the
-        last failed plan, or zero if no plan failed.
+        last failed plan. If no plan failed, it is half the margin of `best`.
 
         A plan with smaller margins must pass a stricter test than usual. Its test flights that
         break a limit may be at most half as many as the allowed risk permits. The test is stricter

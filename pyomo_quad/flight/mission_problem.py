@@ -71,7 +71,7 @@ class MissionProblem:
     Attributes
     ----------
     timings : mapping
-        Seconds spent on building and compiling.
+        Time spent on each phase of the problem's preparation [s]: "build" and "compile".
     easier : tuple of mapping
         Parameter values (parameter name -> value) that make the problem easier, the easiest first.
         Each mapping smooths the power over a larger width than the mission does. The power has a
@@ -193,10 +193,10 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        These values smooth the power over the largest width at its kink at zero, where rotors begin
-        to brake. A mission with regeneration has no such values, and is solved with its own values.
-        ``chosen`` holds arguments of the method `Problem.solve` that replace those of the property
-        `arguments`.
+        Without regeneration, a rotor that brakes returns no energy, so that the power has a kink at
+        zero. The easiest values smooth this kink over the largest width. A mission with
+        regeneration has no such values, and is solved with its own values. ``chosen`` holds
+        arguments of the method `Problem.solve` that replace those of the property `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
@@ -280,10 +280,10 @@ class MissionProblem:
     def _as_far_as(self, stopped: Solution) -> Solution:
         """Return the last iterate of an interrupted solve, evaluated with the mission's parameters.
 
-        `stopped` is the result of the interrupted solve. The interrupted solve had easier parameter
-        values: it smoothed the power over a larger width at the kink at zero, where rotors begin to
-        brake. The energy and the errors of the returned solution are computed with the mission's
-        own values.
+        `stopped` is the result of the interrupted solve, which had easier parameter values. With
+        these values, the kink of the power at zero, where rotors begin to brake, is smoothed over a
+        larger width. The energy and the errors of the returned solution are computed with the
+        mission's own values.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
@@ -300,14 +300,14 @@ class MissionProblem:
 
     @staticmethod
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
-        """Convert the solution of another problem to the variables of this problem.
+        """Convert the solution of another problem to the variables of the mission's problem.
 
-        The result is a trajectory that can serve as the initial guess of this problem. `other` is
-        the solution of the other problem, and ``own`` is any solution of this problem. Variables
-        that the other problem lacks get their values from ``own``. An example is the battery's
-        charge, which a minimum-time problem lacks. If the two problems differ in their static
-        variables (variables that are constant in time), the static variables also get their values
-        from ``own``.
+        The result is a trajectory that can serve as the initial guess of the mission's problem.
+        `other` is the solution of the other problem, and ``own`` is any solution of the mission's
+        problem. Variables that the other problem lacks get their values from ``own``. An example is
+        the battery's charge, which a minimum-time problem lacks. If the two problems differ in
+        their static variables (variables that are constant in time), the static variables also get
+        their values from ``own``.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh

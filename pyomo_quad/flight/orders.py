@@ -104,7 +104,8 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
     Returns
     -------
     list of tuple of int
-        Each order as indices of places, from 0 to n - 1.
+        Each order as indices of the n places between start and goal. The place with index k has
+        row k + 1 and column k + 1 in `costs`.
     """
     return (exact_orders if len(costs) - 2 <= MOST_EXACT else search_orders)(costs, count)
 
@@ -114,8 +115,8 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 
     A leg is the flight from one place to another. Entry (i, j) of `costs` is the cost of the leg
     from place i to place j; place 0 is the start, the last place is the goal. `order` lists the
-    places between start and goal in the order of the flight. Its numbers are smaller by 1 than in
-    `costs`: the first place after the start has number 0.
+    places between start and goal in the order of the flight. The number k in `order` stands for
+    the place with row k + 1 and column k + 1 in `costs`.
     """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
@@ -124,8 +125,9 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, by dynamic programming.
 
-    The method is that of Held and Karp [1]_. A state of the recursion is the set of places passed,
-    with the place passed last. The `count` best orders of each state are kept.
+    The method is that of Held and Karp [1]_. A state of the recursion has two parts: the set of
+    the places passed so far, and the place passed last. For each state, the `count` cheapest orders
+    of the places passed so far are kept.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -141,7 +143,8 @@ def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     Returns
     -------
     list of tuple of int
-        Orders, the cheapest first, each as indices of places from 0 to n - 1.
+        Orders, the cheapest first, each as indices of the n places between start and goal. The
+        place with index k has row k + 1 and column k + 1 in `costs`.
     """
     n = len(costs) - 2
     best = np.full((1 << n, n, count), inf)
@@ -197,7 +200,8 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     Returns
     -------
     list of tuple of int
-        Orders, the cheapest first, each as indices of places from 0 to n - 1.
+        Orders, the cheapest first, each as indices of the n places between start and goal. The
+        place with index k has row k + 1 and column k + 1 in `costs`.
     """
     finite = _without_infinities(costs)
     neighbours, random = _neighbours(len(costs) - 2), np.random.default_rng(0)
@@ -231,8 +235,8 @@ def _neighbours(n: int) -> IntArray:
     """Return all orders that a single local change makes from the order 0, 1, ..., n - 1.
 
     A local change exchanges two neighbouring blocks of the order, or reverses a block. Each row of
-    the result is one changed order of the n indices. Used as an index array, a row makes its change
-    in any other order: `order[row]`.
+    the result is one changed order of the n indices. A row also serves as an index array: for any
+    array `order` of n places, `order[row]` is `order` after the local change of this row.
     """
     every = np.arange(n)
     rows = [
@@ -263,11 +267,11 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 
 
 def nearest_first(costs: FloatArray) -> IntArray:
-    """Return the greedy order of places, which always continues to the nearest remaining place.
+    """Return the greedy order of places: the next place is always the cheapest one to reach.
 
     `costs` is the table of leg costs or lengths: row 0 has the legs from the start, the last column
-    the legs to the goal. The result has the places between start and goal, given by their indices
-    in the table, from 1.
+    the legs to the goal. The result has the places between start and goal, given by their row
+    numbers in the table. These numbers begin with 1.
     """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
@@ -322,8 +326,8 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of each leg (flight from one place to another), for at least one place between start
         and goal.
     reached : float
-        Cost of a known order. The result never exceeds this cost. An iteration raises the bound by
-        spanning trees step by step towards this cost.
+        Cost of a known order. The result never exceeds this cost. The bound by spanning trees is
+        computed by an iteration, and `reached` determines the length of its steps.
 
     Returns
     -------
@@ -372,8 +376,8 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
     between start and goal has two legs. In the minimum spanning tree, a place may have fewer or
     more legs. Each place has a multiplier, which penalises a number of legs other than two.
     Subgradient steps maximise the bound over the multipliers; see docs/theory/orders.md, eq. (5).
-    `costs` is the table of symmetric leg costs. `reached` is the cost of a known order, the target
-    of the steps.
+    `costs` is the table of symmetric leg costs. `reached` is the cost of a known order. The length
+    of each step is proportional to the difference between `reached` and the present bound.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0

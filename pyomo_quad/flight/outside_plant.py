@@ -13,7 +13,7 @@ linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rot
 
 RotorPy's rotors have no inertia. Two moments are therefore added to RotorPy's own: the gyroscopic
 moment, and the reaction of the body to accelerating rotors. RotorPy's motors follow a command with
-a lag. At every time, the command is chosen that produces the desired rotor acceleration. Energy is
+a lag. The command is therefore computed from the desired rotor acceleration and the lag. Energy is
 the integral of the declared power at RotorPy's rotor speeds. Some features of RotorPy's own
 simulation differ from the declared equations. They are off by default; `Habits` switches them on
 one at a time.
@@ -109,7 +109,8 @@ class BodyFrame:
     """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model.
 
     `turn` is the angle from the model's body x axis to the body x axis of RotorPy's vehicle [rad].
-    Entry k of `order` is the number of RotorPy's rotor k in the model; both numbers count from 0.
+    `order` has one entry for each of RotorPy's rotors. Entry k is the number that RotorPy's rotor k
+    has in the model. Both numbers count from 0.
     """
 
     turn: float = 0.0
@@ -484,9 +485,11 @@ class OutsidePlant:
     def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
         """Return a law that keeps the rotor-speed commands that ``law`` gives at time t [s].
 
-        `joint` is the joint state at time t. The motors follow the constant commands with a lag.
-        The returned law gives the resulting rotor accelerations. RotorPy's own simulation also
-        keeps the commands constant between two evaluations of its controller.
+        `joint` is the joint state at time t. Both laws return rotor accelerations. The command for
+        a rotor is its speed at time t, plus the time constant of the motors times the acceleration
+        that ``law`` returns for time t. The motors follow the constant commands with a lag, and the
+        returned law gives the resulting accelerations. RotorPy's own simulation also keeps the
+        commands constant between two evaluations of its controller.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -711,12 +714,13 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]
     The law returns the planned rotor accelerations of RotorPy's vehicle `plant`. The times are the
     boundaries of the plan's mesh elements.
 
-    The attribute `plant.habits` may prescribe that the motors receive rotor-speed commands at a
-    fixed rate. The command is then the actual rotor speed, plus the time constant of the motors
-    times the rotor acceleration that the law returns. To make the command independent of the actual
-    rotor speed, the law adds a correction to the planned rotor acceleration. The correction is the
-    planned minus the actual rotor speed, divided by the time constant. The resulting command is the
-    planned rotor speed plus the time constant times the planned acceleration.
+    There is one exception: the attribute `plant.habits` may prescribe that the motors receive
+    rotor-speed commands at a fixed rate. The simulation then computes each command as the actual
+    rotor speed, plus the time constant of the motors times the acceleration that the law returns.
+    The law therefore returns the planned rotor acceleration plus a correction. The correction is
+    the planned minus the actual rotor speed, divided by the time constant. The resulting command
+    does not depend on the actual rotor speed. It is the planned rotor speed plus the time constant
+    times the planned acceleration.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

@@ -40,7 +40,8 @@ def solve_side_by_side(
     Solves run in this process and in forked copies of it. The solutions do not depend on the number
     of cores. If this function is called during another call of itself, all solves run in this
     process, one after the other. A single solve also runs in this process. If the user or the time
-    limit stops the solves, this process no longer waits for the copies.
+    limit stops the solves, this process no longer waits for the copies. It calls the unfinished
+    solves itself, and each of them then ends at once with a result that has not converged.
 
     Parameters
     ----------

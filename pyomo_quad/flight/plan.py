@@ -181,10 +181,13 @@ class PlanStatus(StrEnum):
         `Plan.energy_uncertainty` estimates how much energy another flight may save.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
-    NOT_CONVERGED, INFEASIBLE, INTERRUPTED
-        In this order: the solve did not converge; it found that no flight keeps all limits; it was
-        stopped. A mission is called infeasible only if no route tried has a flight that keeps all
-        limits, even on a coarse mesh.
+    NOT_CONVERGED
+        The solve did not converge.
+    INFEASIBLE
+        The solve found that no flight keeps all limits. A mission is called infeasible only if no
+        route tried has a flight that keeps all limits, even on a coarse mesh.
+    INTERRUPTED
+        The solve was stopped.
     """
 
     VERIFIED = "verified"
@@ -973,8 +976,8 @@ class Plan(Summarised):
     def load(cls, path: str | Path) -> Self:
         """Read a plan from a file that `save` wrote.
 
-        The plan cannot be simulated, because the file does not contain equations. Another solve can
-        start from it as from the original plan.
+        The loaded plan cannot be simulated, because the file does not contain equations. Another
+        solve can start from the loaded plan, as it can from the plan that was saved.
 
         Parameters
         ----------

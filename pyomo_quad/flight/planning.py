@@ -65,8 +65,9 @@ class Planner(Problems):
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
             A plan of a similar scenario, or the initial point (warm start) that a plan file or a
-            sweep has stored. The solve starts from its trajectory. Its multipliers are used too, if
-            both problems have the same equations.
+            sweep has stored. The solve starts from the trajectory of this plan or point. The
+            multipliers of the plan or point are used too, if its problem has the same equations as
+            the problem of `scenario`.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -164,7 +165,7 @@ def solve_scenario(
         Takes a scenario and builds its Pyomo model; `build_model` by default.
     warm_start : Plan or WarmStart, optional
         A plan of a similar scenario, or the initial point (warm start) that a plan file or a sweep
-        has stored. The solve starts from it.
+        has stored. The solve starts from this plan or point.
     progress : callable, optional
         Called at each Ipopt iteration; returning False stops the solve.
 

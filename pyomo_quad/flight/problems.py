@@ -89,7 +89,7 @@ class Problems:
         """Return the compiled problem of a scenario, and the time spent on it [s] by phase.
 
         The phases are "build", in which the Pyomo model is built, and "compile". Both times are
-        zero for a problem from the cache.
+        zero if the cache has a problem that needs no change for this scenario.
         """
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
@@ -160,7 +160,8 @@ class Problems:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
         Scenarios that differ only in parameter values share a cached problem, which was built for
-        one of them. Without a cached problem, the result is False.
+        one of them. If the result is True, the equations of the cached problem can be used to
+        simulate `scenario`. Without a cached problem, the result is False.
 
         The result is True if `scenario` and the scenario of the cached problem differ only in their
         wind. If both have a fixed duration, they may also differ in the duration and in the

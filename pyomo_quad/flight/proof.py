@@ -71,7 +71,8 @@ def refuse_unproven(
     dynamics : Dynamics, optional
         The plan's equations, if available; otherwise the scenario is compiled.
     is_code_allowed : bool, optional
-        Whether code of the user that builds the scenario's model may be run.
+        Whether the user's own code may be run, if the scenario's model is built by such code. If
+        not, such a scenario raises a ScenarioError. Not used if `dynamics` is given.
 
     Raises
     ------
@@ -111,10 +112,11 @@ def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowe
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by more than is tolerated.
 
     `scenario` gives the name of the mission for the error message. `verification` has the
-    violations of limits along the simulated flight. `allowed` has the tolerances. The tolerance
-    `intrusion` [m] on violations of zones, floor, ceiling and fence is not applied, because the
-    controls of a plan that was read from a table are rounded. The relative tolerance `breach`
-    applies to these limits, too.
+    violations of limits along the simulated flight. `allowed` has the tolerances.
+
+    The relative tolerance `breach` applies to limits other than the heading. For zones, floor,
+    ceiling and fence there is also an absolute tolerance, `intrusion` [m]. This tolerance is not
+    applied here: a plan that was read from a table has rounded controls, which may violate it.
     """
     figures = replace(allowed, intrusion=inf)
     for breach in beyond(verification.breaches, figures):

@@ -13,7 +13,8 @@ only to the difference from the forecast. The other references ignore the wind.
 The quintic minimises the integral of the squared jerk; the polynomial of degree 7 minimises the
 integral of the squared snap [1]_. Both go straight from start to goal in the duration of the
 mission. If the mission has waypoints, both are splines of these degrees through the waypoints.
-After the end they stay at the goal. Yaw follows the same polynomials.
+After the end of the mission, both stay at the goal. Yaw is a polynomial or spline of the same
+degree.
 
 .. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
    ICRA 2011.
@@ -41,9 +42,12 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    If the reference is a plan, the accelerations include only the part that the rotors cause. The
-    part that the air causes is left out. `tilting` has the rates and accelerations of roll and
-    pitch of a plan. Other references do not define the attitude, so that `tilting` is None.
+    `place` has x, y, z [m] and yaw [rad]. `rate` and `acceleration` have the first and the second
+    time derivatives of these four values. If the reference is a plan, `acceleration` includes only
+    the part that the rotors cause. The part that the air causes is left out.
+
+    `tilting` has the rates of roll and pitch, and then their accelerations, if the reference is a
+    plan. Other references do not define the attitude, so that `tilting` is None.
     """
 
     place: Sequence[float]

@@ -162,11 +162,12 @@ class Remainder:
         return self.passages[0] - min(near[0], near[1] * ahead)
 
     def timeline(self, t: float) -> Timeline:
-        """Return the times at fractions of the horizon, for a plan that starts at time t [s].
+        """Return the mapping from fractions of the horizon to times, for a plan from time t [s].
 
         In the compiled problem, the start, the passages of waypoints and the end are at fixed
-        fractions of the horizon. The result assigns to these fractions the times of the plan.
-        Between them, time is linear in the fraction.
+        fractions of the horizon. The result assigns a time to each of these fractions: `t` to the
+        start, and the times of the mission to the passages and the end. Between these fractions,
+        time is linear in the fraction.
         """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
@@ -262,9 +263,10 @@ class Replanner:
         Planner that compiles the equations.
     margins : mapping, optional
         Scenario field -> amount by which its limit is tightened for the plan made before take-off.
-        Re-plans have the same margins, except that rotor speed and thrust have none. Their limits
-        are hard, while the goal is a soft condition. With margins on rotor speed and thrust, a
-        re-plan could therefore miss the goal, although the vehicle has enough thrust to reach it.
+        Re-plans have the same margins, except that rotor speed and thrust have none. The limits on
+        rotor speed and thrust are hard, while the goal is a soft condition. With margins on rotor
+        speed and thrust, a re-plan could therefore miss the goal, although the vehicle has enough
+        thrust to reach it.
 
     Raises
     ------
@@ -491,10 +493,11 @@ class Replanner:
         acceleration.
 
         The measured position is compared with the planned position. If their distance is at most
-        `tube` [m] (an attribute), position and velocity keep their planned values. The controller
-        can correct such a deviation. A re-plan from the measured state would follow each lag of the
-        vehicle. If the distance is larger, position and velocity are changed towards the measured
-        values. The change is just large enough that the vehicle is at most `tube` from the re-plan.
+        `tube` [m] (an attribute), position and velocity keep their planned values, because the
+        controller can correct such a deviation. If the distance is larger, position and velocity
+        are changed towards the measured values. The change is just large enough that the vehicle is
+        at most `tube` from the re-plan. The full deviation is not used: the vehicle lags behind its
+        plan, and each re-plan would then begin with this lag.
 
         Parameters
         ----------

@@ -1,9 +1,10 @@
-"""Plans that keep an allowed risk: the risk that a scenario allows, and the controller's gains.
+"""Planning of flights that break limits with at most an allowed probability, the allowed risk.
 
-The risk is the probability that a flight in turbulence breaks any limit. A plan keeps it by
-margins, the amounts by which limits are tightened for the plan. If the controller has the default
-gains and its flights break limits too often, whatever the margins, the search for margins is done
-again for a faster controller. See docs/theory/risk.md.
+The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce the
+risk, limits are tightened for the plan; the amounts are called margins. The margins are found by a
+search. With some controllers, flights break limits too often for any margins. If such a controller
+has the default gains, the search is repeated with the gains of a faster controller. See
+docs/theory/risk.md.
 """
 
 from dataclasses import replace
@@ -105,10 +106,11 @@ def _with_faster_gains(plan: Plan) -> Plan:
 
 
 def _for_faster_gains(plan: Plan) -> Plan:
-    """Return a plan made for the faster gains of the controller, with these gains on record.
+    """Return a plan with a record of the controller's faster gains, for which it was made.
 
-    The record is the attribute `risk.gains`: name of each gain of `FASTER_GAINS` that differs from
-    the default -> its value. A plan without a record of its risk is returned unchanged.
+    `plan` was made for the gains `FASTER_GAINS`. The record is the attribute `risk.gains` of the
+    result. It maps the name of each gain that differs from the default to the value of this gain.
+    If the attribute `risk` of `plan` is None, `plan` is returned unchanged.
     """
     if plan.risk is None:
         return plan

@@ -3,8 +3,8 @@
 A leg leads from one waypoint of the mission to the next. A journey is a sequence of routes, one for
 each leg. The cost of each journey is estimated as the energy of steady flight. Journeys with an
 estimate much higher than the least are left out. The mission is solved along each other journey on
-one coarse mesh. The best of these solutions are solved again on the next mesh. The best of the new
-solutions are refined to the tolerance.
+one coarse mesh. The best of these solutions are solved again on a finer mesh. The best of the new
+solutions are refined to the tolerance of the mission.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -109,9 +109,9 @@ class RouteFlights:
         Parameters
         ----------
         most : int, optional
-            Largest number of journeys; by default all candidates. The shortest journeys are taken
-            first. In a wind field without `most`, the journeys of least estimated cost are taken
-            first.
+            Largest number of journeys. The shortest journeys are taken, and the others are left
+            out. By default, the number is not limited. In a wind field, the default gives other
+            journeys: those of least energy in steady flight through the wind, and the shortest.
 
         Returns
         -------
@@ -231,7 +231,7 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys that are solved again on a finer mesh.
+        """Return the largest number of journeys that are solved again on a finer mesh: `most` or 1.
 
         A journey is a route for each leg of the mission. `error` is the relative error of the
         energies on the present mesh. If `error` is greater than the energy tolerance of the
@@ -277,12 +277,15 @@ class RouteFlights:
         return journey_as_flown(self._scenario, journey, solution) if is_flown else journey
 
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
-        """Return the candidate journeys along which the mission is solved, at most ``most``.
+        """Return the candidate journeys along which the mission is solved.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. The
-        shortest journeys come first. In a wind field without `most`, the journeys of least cost in
-        steady flight come first. Journeys of high estimated cost are left out, except at the
-        highest accuracy, `proof`.
+        A journey is a sequence of routes, one for each leg from one waypoint to the next. If `most`
+        is a number, only the `most` shortest journeys are considered. The shortest journey comes
+        first. Journeys of high estimated cost are left out, except at the highest accuracy,
+        `proof`.
+
+        If `most` is None in a wind field, the result is different. It has the journeys of least
+        energy in steady flight through the wind, the cheapest first, and then the shortest journey.
         """
         told = self._scenario
         journeys = journeys_of(told)[:most]
@@ -296,11 +299,13 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The function takes the unit vector of the direction, shape (3,). The cost is the energy plus
-        the duration times the price of time [W], which is the weight of a free duration. The ground
-        speed is the same for all directions. If the duration is free, it is the speed of least
-        cost. Otherwise it is the length of `shortest` divided by the duration. `shortest` is the
-        shortest journey: a sequence of routes, one for each leg.
+        The returned function takes the unit vector of the direction, shape (3,). It returns
+        infinity if the vehicle has no steady flight in this direction. The cost is the energy plus
+        the duration times the price of time [W], which is the weight of a free duration.
+
+        The ground speed is the same for all directions. If the duration is free, the ground speed
+        is the speed of least cost. Otherwise it is the length of `shortest` divided by the
+        duration. `shortest` is the shortest journey: a sequence of routes, one for each leg.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
@@ -407,8 +412,8 @@ class RouteFlights:
     def _rough_options(self) -> SolverOptions:
         """Return Ipopt's options for the coarse solves with which journeys are compared.
 
-        The tolerance is the constant `ON_FIRST`. If the scenario allows no mesh refinement, the
-        options are those of the mission, because no more accurate solve follows.
+        Ipopt's convergence tolerance is the constant `ON_FIRST`. If the scenario allows no mesh
+        refinement, the options are those of the mission, because no more accurate solve follows.
         """
         options = self._mission.arguments["options"]
         if self._scenario.solver.max_refinements > 0:
@@ -518,8 +523,9 @@ def guess_along(
     Returns
     -------
     dict
-        "time" -> times of the samples [s], shape (n,), and name of a state -> its samples. If the
-        end time is free and there is one leg, also "duration" -> the end time [s].
+        "time" -> times of the samples [s], shape (n,). Name of each state of position and velocity
+        -> its samples, shape (n,). If the end time is free and there is one leg, also "duration" ->
+        the end time [s].
     """
     begun = (0.0, *times[1::2])
     instants, places = [], []

@@ -305,9 +305,9 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
     """Return an easier mission, in which waypoints are passed exactly and at any speed.
 
     `told` is the scenario of the mission. In the easier mission, the waypoints have no radius and
-    no speed limit. Such a limit makes a first solve difficult, because its gradient vanishes where
-    the limited distance or speed is zero. The result is None if no waypoint has a radius or a speed
-    limit.
+    no speed limit. A radius limits the distance from the waypoint. Limits on distance or speed make
+    a first solve difficult, because their gradient vanishes where the distance or the speed is
+    zero. The result is None if no waypoint has a radius or a speed limit.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -357,7 +357,10 @@ class _Graph:
         ]
 
     def routes(self) -> Iterator[Route]:
-        """Yield the shortest route of every homotopy class, the shortest first."""
+        """Yield the shortest route of every homotopy class, the shortest first.
+
+        Routes belong to the same class if they pass every zone on the same side.
+        """
         every = frozenset(range(len(Side)))
         queue: list[tuple[float, int, list[int], tuple[frozenset[int], ...]]] = []
         pushed = 0
@@ -651,6 +654,9 @@ def reached(scenario: Scenario) -> CruiseSettings:
 
 def own_cruise(scenario: Scenario) -> CruiseSettings:
     """Return the settings of an autopilot's cruise, for a scenario with a single cruise speed.
+
+    Cruise is flight along straight lines at one speed. The settings are the speed, acceleration and
+    jerk that the scenario states.
 
     Raises
     ------

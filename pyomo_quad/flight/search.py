@@ -149,7 +149,7 @@ class Search:
         is stopped before it ends. Most searches end soon without being stopped, and need no usable
         plan.
 
-        The caller uses the property only if the highest accuracy, `proof`, is requested.
+        Callers ignore the property unless the highest accuracy, `proof`, is requested.
         """
         return self.work - self._patient_from < _PATIENCE
 

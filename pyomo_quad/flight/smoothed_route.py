@@ -175,6 +175,8 @@ def _pace_for(
 ) -> Pace | None:
     """Return the pace with which a motion along a route lasts a given duration.
 
+    A pace is the greatest speed and the greatest accelerations of a motion.
+
     Parameters
     ----------
     stops : sequence of Stop

@@ -3,9 +3,10 @@
 Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
 A vehicle that follows the solution under feedback may then exceed the limit too. For the next
 simulated flight, the path that the vehicle follows is shifted away from the limit. Only the limited
-states are shifted, and only during the time of the excess. During this time the regulator gives
-deviations of these states a greater weight. The regulator knows the shift in advance, and begins to
-correct the flight before the shift begins. See docs/theory/tracking.md, eq. (9).
+states are shifted, and only during the time of the excess. A linear-quadratic regulator keeps the
+vehicle on the path. During the shift, the regulator gives deviations of the shifted states a
+greater weight. The regulator knows the shift in advance, and begins to correct the flight before
+the shift begins. See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations

@@ -126,10 +126,10 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        The states and controls are solved for, with two exceptions. Position and heading are those
-        of the mission's start. States that a flight uses up, such as the charge drawn, can never be
-        constant; they keep their initial values. A state counts as used up if the mission fixes it
-        at the start and leaves it free at the end.
+        The function solves for the controls and for all states but two kinds. Position and heading
+        have the values of the mission's start. States that measure consumption, such as the charge
+        drawn, are not constant in any flight; they have their initial values. A state counts as a
+        measure of consumption if the mission fixes it at the start and leaves it free at the end.
 
         Parameters
         ----------

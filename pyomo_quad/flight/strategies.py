@@ -60,7 +60,8 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
 
     The condition of each strategy is tested after the actions of the strategies before it. The
     action is repeated while the condition holds, up to the strategy's number of repeats. An action
-    that returns None came to nothing. It adds no line to the record and is not repeated.
+    that returns None came to nothing. Such an action adds no line to the record of the search and
+    is not repeated.
 
     Parameters
     ----------
@@ -70,8 +71,9 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
         Object that the strategies improve, such as a `Candidate` (the best solution of a mission so
         far). It is changed in place.
     search : Search
-        The search for a plan. Its stage is set. Each action adds the line "name of the strategy:
-        outcome" to its record.
+        The search for a plan. Its stage is set to the stage of each strategy that is carried out.
+        Each action that returns an outcome adds the line "name of the strategy: outcome" to the
+        record of the search.
     """
     for strategy in table:
         for _ in range(strategy.repeats):
@@ -132,9 +134,9 @@ def _hold_pack(candidate: Candidate) -> str:
     """Plan a mission again with an upper limit on the power of the battery.
 
     The plan in `candidate` draws more power than the battery can give. If simulation confirms the
-    new plan to the requested accuracy, the new plan replaces the old plan. If the new solve fails,
-    it is not retried from other initial guesses. The result is the status of the new solve as text,
-    for the list of strategies that were tried.
+    new plan to the requested accuracy, the new plan replaces the old plan. Otherwise the old plan
+    is kept. If the new solve fails, it is not retried from other initial guesses. The result is the
+    status of the new solve as text, for the list of strategies that were tried.
     """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 

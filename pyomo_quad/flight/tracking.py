@@ -224,8 +224,8 @@ class _Regulator:
     gains : ndarray, shape (n, n_controls, n_states)
         Feedback matrices K of eq. (4). The correction of the controls is -K times the deviation.
     values : ndarray, shape (n, n_states, n_states)
-        Matrices P of eq. (4): the quadratic cost from the end of each element to the end of the
-        flight.
+        Matrices P of eq. (4), one for the end of each element. If d is the deviation at this time,
+        d^T P d is the cost from this time to the end of the flight.
     inverses : ndarray, shape (n, n_controls, n_controls)
         Matrices (h R + G^T P G)^-1 of eq. (4), where h is the duration of the element and R has the
         weights of squared corrections.
@@ -271,9 +271,10 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that demands cause, at the element boundaries.
 
-    Demanded pushes displace the path: they change position and velocity. They do not change roll
-    and pitch, because the regulator finds the tilt that the displaced path needs. During demanded
-    hovers, the velocity is changed to zero. Demanded shifts change tilt, speed and rotor speeds.
+    Demands are changes of the path that a simulated vehicle follows: pushes, hovers and shifts.
+    Pushes displace the path: they change position and velocity. They do not change roll and pitch,
+    because the regulator of the vehicle finds the tilt that the displaced path needs. During
+    demanded hovers, the velocity is changed to zero. Shifts change tilt, speed and rotor speeds.
 
     If the mission requires a constant heading, yaw angle and yaw rate are changed, too, so that the
     heading of the path is constant. The heading of the coarse solution is constant at its
@@ -458,8 +459,10 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    In each element, the controls of the path are corrected by the feedback plus a known command.
-    Implements docs/theory/tracking.md, eq. (1).
+    In each element, a constant correction is added to the controls of the path. The correction is
+    the feedback plus a command that is known in advance. The result is None instead of both arrays
+    if a state grows beyond any physical value (the constant `_LOST`). Implements
+    docs/theory/tracking.md, eq. (1).
 
     Parameters
     ----------
@@ -477,8 +480,7 @@ def _followed(
     ndarray, shape (n_points + 1, n_states + 1)
         States and energy at the nodes.
     ndarray, shape (n_points, n_controls)
-        Corrected controls at the collocation points. None instead of both arrays if a state grows
-        beyond any physical value (the constant `_LOST`).
+        Corrected controls at the collocation points.
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

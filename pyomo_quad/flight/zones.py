@@ -133,8 +133,8 @@ def _span_inside(
     -------
     entries, exits : ndarray, shape (n,)
         Fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
-        the lines are extended beyond both ends. If a line misses the ball, its fractions are 1 and
-        0.
+        the lines are extended beyond both ends. If a line misses the ball, its entry is 1 and its
+        exit is 0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)

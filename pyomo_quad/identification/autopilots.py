@@ -91,8 +91,8 @@ def _seconds_aloft(
     Returns
     -------
     DataFrame
-        One row for each second in flight, with the columns that `COLUMNS` lists except the flight's
-        name.
+        One row for each second in flight, with the columns of a flight log except the flight's
+        name. The mapping `identification.columns.COLUMNS` lists the columns.
     """
     air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
     frame = pd.DataFrame(
@@ -123,14 +123,15 @@ def read_ulog(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each second, with the columns that `COLUMNS` lists. All airborne rows count as
-        cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
-        assumed.
+        One row for each second, with the columns of a flight log, which the mapping
+        `identification.columns.COLUMNS` lists. All airborne rows count as cruise, and the payload
+        is 0. If the log has no barometer, the air density at sea level is assumed.
 
     Raises
     ------
     ScenarioError
-        If the package `pyulog` is missing, or the log is damaged or lacks a topic or a field.
+        If the package `pyulog` is missing, or the log is damaged. Also if the log lacks a required
+        topic (table of the log) or a required field (column of a topic).
     """
     with _reader_errors("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
@@ -214,14 +215,15 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each second, with the columns that `COLUMNS` lists. All airborne rows count as
-        cruise, and the payload is 0. If the log has no barometer, the air density at sea level is
-        assumed.
+        One row for each second, with the columns of a flight log, which the mapping
+        `identification.columns.COLUMNS` lists. All airborne rows count as cruise, and the payload
+        is 0. If the log has no barometer, the air density at sea level is assumed.
 
     Raises
     ------
     ScenarioError
-        If the package `pymavlink` is missing, or the log is damaged or lacks a message.
+        If the package `pymavlink` is missing, or the log is damaged. Also if the log has no
+        messages of a required kind.
     """
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read
@@ -251,9 +253,9 @@ def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
     message : DataFrame
         All logged messages of one kind, with one column for each field.
     name : str
-        Name of this kind, for an error text.
+        Name of the kind of message, for the error message if a needed field is missing.
     *needed : str
-        Fields that the table must have.
+        Fields that `message` must have.
     """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(

@@ -126,7 +126,7 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
     Returns
     -------
     list
-        Names of the flights.
+        Names of three flights, from slow to fast; of all flights if there are fewer than three.
     """
     speeds = pd.Series(cruise_speeds(frame), index=frame[FLIGHT].to_numpy())
     each = speeds.groupby(level=0, sort=False).first().sort_values(kind="stable")

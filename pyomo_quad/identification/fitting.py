@@ -137,7 +137,8 @@ class Identification:
     scenario : Scenario
         Scenario with the fitted vehicle.
     frame : DataFrame
-        Rows of all flights, with the columns of a log that `COLUMNS` lists.
+        Rows of all flights, with the columns of a flight log, which the mapping
+        `identification.columns.COLUMNS` lists.
     parameters : tuple of IdentifiedParameter
         Result for each field that was to be fitted.
     correlations : DataFrame

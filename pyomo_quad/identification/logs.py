@@ -1,7 +1,8 @@
 """Reading of flight logs, with checks for damaged or implausible values.
 
 A log is a table (Parquet or CSV) with about one row per second, or the log file of an autopilot.
-Its columns are listed in `COLUMNS`; further columns are ignored. World axes are north, east and up.
+The mapping `identification.columns.COLUMNS` lists the columns of a log; further columns are
+ignored. World axes are north, east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -79,8 +80,8 @@ def read_logs(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each row of the log in flight, with the columns that `COLUMNS` lists, and with
-        voltage and current if the log has them.
+        One row for each row of the log in flight. The columns are those that the mapping
+        `identification.columns.COLUMNS` lists, and voltage and current if the log has them.
 
     Raises
     ------
@@ -245,7 +246,7 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
     -------
     dict
         Name of each needed column in the log -> the package's own name of the column. The own names
-        are the keys of the mapping `COLUMNS`.
+        are the keys of the mapping `identification.columns.COLUMNS`.
 
     Raises
     ------
@@ -357,7 +358,8 @@ def _read_csv(file: Path) -> pd.DataFrame:
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
     """Yield an error message for each fault of a log's rows, the most basic fault first.
 
-    `frame` has the rows of all flights, with the columns that `COLUMNS` lists.
+    `frame` has the rows of all flights, with the columns that the mapping
+    `identification.columns.COLUMNS` lists.
     """
     for name in frame:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])

@@ -2,9 +2,10 @@
 
 Method: see docs/theory/identification.md, eq. (1).
 
-This file has no formula of the vehicle. Airspeed and acceleration come from the log. For each row,
-the model's compiled equations are solved for the attitude and the rotor speed that produce the
-acceleration. The same equations then give the power.
+Airspeed and acceleration come from the log. For each row of the log, the equations of the vehicle's
+model are solved for the attitude and the rotor speed that produce the acceleration. The same
+equations then give the power. The module uses the compiled equations of the planner, and has no
+equations of the vehicle of its own.
 """
 
 from collections.abc import Mapping
@@ -48,6 +49,9 @@ _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
     """Make a scenario for the identification of a vehicle: a short mission in calm air.
+
+    In calm air, the velocity over ground in the model equals the velocity through the air. The
+    mission has no effect on the identification, but a scenario must have a mission.
 
     Parameters
     ----------

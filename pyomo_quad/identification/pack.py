@@ -2,10 +2,10 @@
 
 Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-validated by flight.
 
-This file has no formula of the battery. The model's equations simulate the battery without the
-vehicle, under the measured powers of the flights. The charge at the start of a flight follows from
-the voltage before the motors load the pack. Each flight has its own pack, of its own age and
-temperature. The resistance of this pack follows from the first seconds under load.
+The battery is simulated without the vehicle, under the measured powers of the flights. The
+simulation uses the battery equations of the planner's model. The charge at the start of a flight
+follows from the voltage before the motors load the pack. Each flight has its own pack, of its own
+age and temperature. The resistance of this pack follows from the first seconds under load.
 """
 
 from dataclasses import dataclass
@@ -100,8 +100,8 @@ class PackIdentification:
         One row for each time step of each unseen flight. Columns: flight, time [s], measured and
         computed cell voltage [V].
     read_s : float
-        Time in `rows` [s]. The voltages before this time determine the resistance of a flight's
-        pack.
+        End of the first seconds under load, on the time axis of `rows` [s]. The voltages before
+        this time determine the resistance of a flight's pack.
     error_mV, error_unread_mV, base_error_mV : float
         Root mean square errors of the computed voltage in flight [mV per cell]. `error_mV` is the
         error in unseen flights, with the resistance of each flight's pack. `error_unread_mV` is the
@@ -250,7 +250,8 @@ class Circuit:
     ----------
     scenario : Scenario
         Scenario from the function `with_circuit`: its battery has a slow part of the resistance
-        (relaxation), a temperature and a state of health.
+        (relaxation), a temperature on which the resistance depends, and a state of health (a
+        factor on the resistance).
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -552,8 +553,8 @@ def _resistance(values: FloatArray) -> float:
 def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
-    The circuit has a slow part of the resistance (relaxation), a temperature, and a state of
-    health.
+    The circuit has a slow part of the resistance (relaxation), a temperature on which the
+    resistance depends, and a state of health (a factor on the resistance).
 
     Parameters
     ----------
@@ -585,11 +586,12 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the initial values of the battery fields that are fitted.
+    """Return the initial values of the battery fields that are fitted (not their logarithms).
 
     The values are those of `scenario`, in the order of `FITTED`, which lists the fitted fields. The
-    fields are fitted as logarithms. Positive numbers therefore replace a missing relaxation and a
-    missing activation energy.
+    fit uses the logarithms of the fields, so that all values must be positive. If the battery has
+    no relaxation or no activation energy (temperature dependence of the resistance), positive
+    default numbers take the place of the missing values.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

@@ -1,7 +1,8 @@
 """Output files of the commands `identify` and `predict`.
 
-The files are tables, figures, a report text, a summary, and the files of the identified vehicle and
-battery.
+The command `identify` fits the parameters of a vehicle to measured flights. The command `predict`
+computes the energy of measured flights with a given vehicle. The files are tables, figures, a
+report text, a summary, and the files of the identified vehicle and battery.
 """
 
 from collections.abc import Iterator, Mapping

@@ -6,9 +6,10 @@ constant efficiency | proportional to the ideal power of hover, P = c (m g)^1.5 
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho), with own a and b in each phase of the flight
 
 P is the power, m the mass with payload, g gravity, and rho the air density; a, b and c are fitted.
-The rivals are fitted and validated on the same flights in the same way. The last model has the form
-of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas emissions savings for very
-small package delivery", Patterns 3 (2022), with new coefficients.
+The rivals and the package's own model are fitted and validated on the same flights, in the same
+way. The regression by phase has the form of Rodrigues et al., "Drone flight data reveal energy and
+greenhouse gas emissions savings for very small package delivery", Patterns 3 (2022), with new
+coefficients.
 """
 
 from collections.abc import Sequence

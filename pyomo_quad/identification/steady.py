@@ -67,7 +67,7 @@ class SteadyFit:
     scenario : Scenario
         Scenario with the fitted vehicle.
     points : DataFrame
-        Measured points, with the columns that `STEADY_COLUMNS` lists except endurance.
+        One row for each measured point: power, airspeed, payload, climb and air density.
     parameters : tuple of FittedParameter
         Result for each field that was to be fitted.
     power : ndarray, shape (n_points,)
@@ -113,8 +113,9 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     Parameters
     ----------
     file : Path
-        CSV file with some of the columns that `STEADY_COLUMNS` lists: power or endurance, and
-        possibly airspeed, payload, climb and air density.
+        CSV file with a column for the power or the endurance, and possibly with columns for
+        airspeed, payload, climb and air density. The mapping `STEADY_COLUMNS` of this module has
+        the names and units of the columns.
     scenario : Scenario
         Scenario with the vehicle, whose payload and air density fill missing columns.
 
@@ -159,7 +160,7 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     Parameters
     ----------
     frame : DataFrame
-        Points with some of the columns that `STEADY_COLUMNS` lists.
+        Points with some of the columns that the mapping `STEADY_COLUMNS` of this module lists.
     scenario : Scenario
         Scenario with vehicle, battery and air density.
 
@@ -183,9 +184,10 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    """Read a CSV table of steady flight points: the columns that `STEADY_COLUMNS` lists.
+    """Read a CSV table of measured points of steady flight, one point per row.
 
-    Other columns of the table are ignored. `file` is the path of the table.
+    Only the columns that the mapping `STEADY_COLUMNS` of this module lists are read. `file` is the
+    path of the table.
 
     Raises
     ------

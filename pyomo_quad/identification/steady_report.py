@@ -1,4 +1,7 @@
-"""Output files of the command `identify --steady`: table, figure, vehicle file, summary, text."""
+"""Output files of the command `identify --steady`: table, figure, vehicle file, summary, text.
+
+The command fits the power model of a vehicle to measured points of steady flight.
+"""
 
 from dataclasses import asdict
 from functools import partial

@@ -69,7 +69,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     If `wind.coupling` is "acceleration", the coefficient of eq. (9) of Yacef et al. is a parameter.
     If the vehicle has rotor drag or translational lift, their coefficients are parameters. If the
     vehicle has parasitic drag, its coefficients are parameters. The coefficients of the isotropic
-    drag are parameters of block `vehicle`.
+    drag are not in the result, because they are parameters of block `vehicle`. Each `Parameter`
+    states name, unit and meaning of a number, and how its value follows from a scenario.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (

@@ -35,10 +35,11 @@ edges gives a linear limit of the position. These limits are exact everywhere, c
 clearance does not apply to the fence.
 
 Over terrain, floor and ceiling limit the height above the ground, which the module `model.ground`
-declares. Flights stay within the edges of the terrain's grid, where the ground is known. In a wind
-field, flights stay within the edges of the field's grid. If `wind.beyond` is "hold", the wind of
-the edge also blows outside of the grid, and flights may leave the grid. Bottom and top of a zone
-are coordinates z, to which the height of the ground is not added.
+declares. Flights stay within the edges of the terrain's grid, where the ground is known. Whether
+flights may leave the grid of a wind field depends on the scenario's `wind.beyond`. With "refuse",
+flights stay within the edges of the grid. With "hold", flights may leave the grid, and the wind of
+the edge also blows outside. Bottom and top of a zone are coordinates z, to which the height of the
+ground is not added.
 
 `declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone. Even
 the smallest deviation from such a place towards the zone would be forbidden.
@@ -158,9 +159,10 @@ def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     measured on one, two or three coordinate axes: the ball is then a slab between two planes, a
     cylinder or a sphere.
 
-    A prism over a polygon also needs slabs across the edges of the polygon. These slabs lie between
-    two vertical planes of any horizontal direction. For such a slab, the returned axes are x and y,
-    and the returned centre is the place midway between the planes that is nearest to the origin.
+    A prism over a polygon also needs slabs that are bounded by two vertical planes parallel to an
+    edge of the polygon. The distance is then measured along the normal of these planes, which may
+    have any horizontal direction. For such a slab, the returned axes are x and y. The returned
+    centre is a point midway between the two planes: the point nearest to the origin.
 
     Returns
     -------
@@ -380,10 +382,11 @@ def _largest(distances: Sequence[Any], width: Any) -> Any:
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
-    The surface encloses all places that the model forbids. These are the places in the zone, and
-    the places that are closer to the zone than the clearance. The model smooths the edges of the
-    zone, and therefore also forbids some places near the edges. A waypoint with a radius is not
-    checked, because the flight may pass beside the waypoint.
+    The surface is the boundary of all places that the model forbids because of the zone. These are
+    the places in the zone, the places that are closer to the zone than the clearance, and some
+    places near the edges of the zone, because the model smooths the edges. The model would forbid
+    even the smallest deviation from a place on the surface towards the zone. A waypoint with a
+    radius is not checked, because the flight may pass beside the waypoint.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.

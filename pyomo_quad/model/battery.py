@@ -34,8 +34,9 @@ pack cannot fly the mission if the state of charge or the power reserve is negat
 
 The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it exceeds
 the other terms of e_m before the pack is empty, and e_m is then negative. For such constants, the
-flights are limited to e_m >= 0. Where e_m is negative, the pack can deliver no power: the module
-gives the greatest power the sign of the voltage, U |U|/(4 R).
+model has the path constraint e_m >= 0. A flight that violates this constraint, such as an iterate
+of the solver, must not find power in the pack where U is negative. The model therefore gives the
+greatest power the sign of U: it is U |U|/(4 R).
 """
 
 from pyomo.core import (
@@ -99,9 +100,10 @@ def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def may_lose_voltage(scenario: Scenario) -> bool:
-    """Return whether the open-circuit voltage of eq. (5) can vanish before the battery is empty.
+    """Return whether the open-circuit voltage can fall to zero before the battery is empty.
 
-    If it can, `declare_battery` limits the flight to voltages that are not negative.
+    The voltage follows eq. (5) of Yacef et al. with the battery constants of the scenario. If the
+    result is true, `declare_battery` declares a path constraint: the voltage is not negative.
     """
     least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
     return scenario.battery.K / least_share >= scenario.battery.E0
@@ -286,10 +288,10 @@ def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
 
     The scaled charge is the charge drawn from the cell, divided by the capacity factor. The
-    capacity factor is the capacity of the aged cell over the capacity of an unaged cell. Eq. (5)
-    uses the scaled charge, because the constants of eq. (5) hold for an unaged cell. Without a
-    capacity factor in the model, the charge is not scaled. `b` is the block `battery`, and `t` the
-    time in flight [s].
+    capacity factor is the capacity of the aged cell over the capacity of an unaged cell. The
+    open-circuit voltage is computed from the scaled charge, because the constants of its formula,
+    eq. (5) of Yacef et al., hold for an unaged cell. Without a capacity factor in the model, the
+    charge is not scaled. `b` is the block `battery`, and `t` the time in flight [s].
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -4,7 +4,7 @@ symbol | name | unit | meaning
 x, y, z | x, y, z | m | position in world axes, z up
 x', y', z' | vx, vy, vz | m/s | velocity in world axes
 phi, theta, psi | phi, theta, psi | rad | roll, pitch, yaw; yaw-pitch-roll order
-phi', theta', psi' | p, q, r | rad/s | body rates
+phi', theta', psi' | p, q, r | rad/s | body rates (the paper equates them to the Euler rates)
 
 `vehicle.attitude` selects the relation between the angles and the body rates, and the yaw balance:
 

@@ -34,7 +34,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     Yacef et al. contains the geometry of the cross. Any other rotor layout needs both. Rotor drag
     and translational lift depend on the airspeed at each rotor. A vehicle with these forces
     therefore needs the positions, even if it is a standard cross. The result is empty for a
-    standard cross without these forces.
+    standard cross without these forces. Each `Parameter` of the result states name, unit and
+    meaning of a number, and how its value follows from a scenario.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(

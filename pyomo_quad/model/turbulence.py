@@ -170,21 +170,23 @@ def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
 
 
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
-    """Return the time derivative [1/s] of the filter state xi_1, which is dimensionless.
+    """Return the time derivative [1/s] of the state xi_1 of a Dryden shaping filter.
 
-    `rate` is a = V / L [1/s], where V is the speed at which the vehicle crosses the gusts, and L is
-    the length scale of the turbulence. `state` is xi_1, and `noise` is white noise of unit
-    intensity [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
+    The filter turns white noise into gusts; xi_1 is dimensionless. `rate` is a = V / L [1/s],
+    where V is the speed at which the vehicle crosses the gusts, and L is the length scale of the
+    turbulence. `state` is xi_1, and `noise` is white noise of unit intensity [1/s^(1/2)]. The
+    stationary variance of xi_1 is 1/2.
     """
     return -rate * state + root(rate) * noise
 
 
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
-    """Return the time derivative [1/s] of the filter state xi_2, which lags xi_1.
+    """Return the time derivative [1/s] of the state xi_2 of a Dryden shaping filter.
 
-    `rate` is a = V / L [1/s], where V is the speed at which the vehicle crosses the gusts, and L is
-    the length scale of the turbulence. `state` and `lag` are the dimensionless states xi_1 and
-    xi_2.
+    The filter turns white noise into transverse gusts. Its two dimensionless states are xi_1, and
+    xi_2, which lags xi_1. `rate` is a = V / L [1/s], where V is the speed at which the
+    vehicle crosses the gusts, and L is the length scale of the turbulence. `state` is xi_1, and
+    `lag` is xi_2.
     """
     return rate * (state - lag)
 
@@ -372,7 +374,10 @@ class Gusts:
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Gusts":
-        """Return the turbulence of a single simulated flight, with the scenario's seed."""
+        """Return the turbulence of a single simulated flight, from the seed in the scenario.
+
+        The seed is 0 for a scenario without turbulence.
+        """
         turbulence = scenario.wind.turbulence
         return cls(0 if turbulence is None else turbulence.seed)
 
@@ -380,8 +385,8 @@ class Gusts:
     def start(self) -> dict[str, float]:
         """Initial values of the states of the turbulence filters, by full name.
 
-        The values are a random sample from the stationary distribution of the states, drawn with
-        the seed.
+        A full name is a name such as "wind.turbulence.along". The values are a random sample from
+        the stationary distribution of the states, drawn with the seed.
         """
         drawn = LONG_RUN_FACTOR @ np.random.default_rng(self._seed).standard_normal(
             len(FILTER_STATES)
@@ -412,8 +417,9 @@ class Gusts:
     def steps(self, duration: float) -> dict[str, Steps]:
         """Return the white noise of a flight as step functions of time, by full parameter name.
 
-        `duration` is the duration of the flight [s]. There is one parameter for each of the three
-        filters, and one value per time step of length `NOISE_STEP` [s].
+        A full name is a name such as "wind.turbulence.noise_along". There is one parameter for each
+        of the three filters. Each step function has one value [1/s^(1/2)] per time step of length
+        `NOISE_STEP` [s]. `duration` is the duration of the flight [s].
         """
         columns = self.noise(duration).T
         return {

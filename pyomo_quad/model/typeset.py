@@ -125,8 +125,8 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 class _Writer:
     """Writer of Pyomo expressions as LaTeX.
 
-    If `has_free_index` is true, an equation is typeset once for all rotors, and the index of rotor
-    1 is written as j.
+    If `has_free_index` is true, the expressions are those of rotor 1 and stand for every rotor: the
+    writer replaces the index 1 by j.
     """
 
     def __init__(self, *, has_free_index: bool) -> None:

@@ -213,7 +213,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `time`, `rigid_body`, an empty block `wind`, and `clock`, the
         time in flight as a Pyomo parameter that equations can contain.
     scenario : Scenario
-        Holds the wind: eq. (11)-(12), a measured time series, or a field over places.
+        Holds the wind: the formula of eqs. (11) and (12) of Yacef et al., a table of measurements
+        over time, height or both, or a field over places.
     """
     b, wind = m.wind, scenario.wind
     declare_parameters(b, scenario)
@@ -298,9 +299,10 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    The result has every mutable parameter of block `wind` that is a speed. The value is zero; for a
-    parameter over time, the value is a function of time that returns zero. Parameters that a user
-    has added to the block are included. `m` is the mission's model.
+    A full name is a name such as "wind.x.mean". The result has every mutable parameter of block
+    `wind` that is a speed. The value is zero; for a parameter over time, the value is a function of
+    time that returns zero. Parameters that a user has added to the block are included. `m` is the
+    mission's model.
 
     A wind whose equations contain no mutable parameter that is a speed cannot be set to zero in
     this way. The returned values leave such a wind as it is.
@@ -369,10 +371,10 @@ def _add_velocity(
 
 
 def _velocity(name: str, b: Block, t: float) -> NumericExpression:
-    """Return the wind of eq. (11) along one axis: mean, harmonics and gust [m/s].
+    """Return the wind along one world axis as the sum of mean, harmonics and gust [m/s].
 
-    `name` is the axis, "x" or "y". `b` is the block `wind`, which has the parameters of this axis,
-    and `t` the time in flight [s].
+    The sum is eq. (11) of Yacef et al. `name` is the axis, "x" or "y". `b` is the block `wind`,
+    which has the parameters of this axis, and `t` the time in flight [s].
     """
     axis, wind_time = b.component(name), b.wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)

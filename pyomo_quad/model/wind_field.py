@@ -2,7 +2,7 @@
 
 symbol | name | unit | meaning
 s | field_unit | m/s | factor on the splines, which have no unit: `wind.field_scale` times 1 m/s
-x, y, z, t | - | m, s | the vehicle's place, and the wind time
+x, y, z, t | - | m, s | place of the vehicle, and time on the time axis of the wind data
 
 Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
 values on the grid. The class `collocation.Table` evaluates this product. The component is twice
@@ -73,12 +73,13 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and, in block `wind`, the wind time
-        `wind_time` [s] and the factor `field_unit` [m/s], by which the splines are multiplied.
+        Model that already declares `time` and `rigid_body`. Its block `wind` already declares
+        `wind_time`, the time on the time axis of the wind data [s]. The block also declares the
+        factor `field_unit` [m/s], by which the splines are multiplied.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
-        Its field `wind.beyond` selects whether the vehicle's place is clipped to the grid.
+        If its field `wind.beyond` is "hold", place and time are clipped to the ranges of the grid.
 
     Returns
     -------
@@ -138,7 +139,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     Returns
     -------
     axes : list of ndarray
-        Coordinates along each axis [m, m, m, s].
+        Coordinates of the grid points along x, y and, if the field has them, z [m] and time [s].
     values : ndarray, shape (n_components, *grid)
         Wind components [m/s]. They are not multiplied by the scenario's factor `wind.field_scale`.
         The first array axis is the component, the other array axes are those of the grid.
@@ -165,12 +166,12 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 def wind_corners(scenario: Scenario) -> FloatArray:
     """Return corners of a polyhedron that contains the wind of a field at every place and time.
 
-    In each cell of the grid the spline through the wind is a polynomial of degree three along every
-    axis. The polynomial lies in the convex hull of its control points (Bernstein coefficients).
-    A cell is left out if none of its corners has wind, because no flight may enter such a cell. If
-    the scenario's field `wind.beyond` is "hold", flights may enter all cells, and no cell is left
-    out.
-    Implements docs/theory/bound.md, eq. (21).
+    The polyhedron lies in the space of wind velocities. In each cell of the grid the spline through
+    the wind is a polynomial of degree three along every axis. The values of the polynomial lie in
+    the convex hull of its control points (Bernstein coefficients). A cell is left out if none of
+    its corners has wind, because no flight may enter such a cell. If the scenario's field
+    `wind.beyond` is "hold", flights may enter all cells, and no cell is left out. See
+    docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -210,7 +211,7 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 def _controlled(
     scenario: Scenario,
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
-    """Return axes and control points of a wind field, and which control points a flight may meet.
+    """Return axes and control points of a wind field, and whether each point's cell may be entered.
 
     In each cell of the grid the wind is a polynomial. The wind lies in the convex hull of the
     polynomial's control points (Bernstein coefficients). `scenario` must have a wind field.
@@ -218,7 +219,7 @@ def _controlled(
     Returns
     -------
     axes : list of ndarray
-        Coordinates of the grid points along each axis [m, m, m, s].
+        Coordinates of the grid points along x, y and, if the field has them, z [m] and time [s].
     points : ndarray, shape (n_components, *counts)
         Control points [m/s]. The first array axis is the wind component. `counts` are the numbers
         of control points along the axes of the grid: four times the number of cells.

@@ -53,7 +53,8 @@ def paper_scenario(experiment: Experiment, values: Mapping[str, Any] | None = No
     experiment : Experiment
         Flight in calm air or in wind.
     values : mapping, optional
-        Changed fields: new value by dotted path.
+        Fields of the scenario to change: new value of each field by its dotted path, such as
+        "mission.duration".
     """
     name, wind = _NAMED[experiment]
     scenario = scenario_from_mapping(
@@ -164,8 +165,8 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 class FlightCase:
     """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
-    Their paper leaves open how the wind acts, in which unit its frequencies are, and which battery
-    is meant. Each combination of these choices is a case.
+    Their paper leaves open how the wind acts, in which unit the frequencies of the wind are, and
+    which battery is meant. An object of this class makes a choice for each of these questions.
     """
 
     experiment: Experiment
@@ -252,7 +253,8 @@ def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
     """List the settings of the flight in wind, once with each of four interpretations of the wind.
 
-    The wind acts as an acceleration or by drag. In each case, its frequencies are in rad/s or Hz.
+    The wind acts either as an acceleration or by drag, and its frequencies are either in rad/s or
+    in Hz. The four combinations are the four interpretations.
 
     Parameters
     ----------

@@ -162,7 +162,7 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw a flight's energies along the chain of losses as bars, and between the bars the losses.
+    """Draw a flight's energies along its chain of losses as bars, with the losses between the bars.
 
     The chain leads from the battery over resistances and windings to the rotors.
     """

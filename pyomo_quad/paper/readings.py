@@ -1,4 +1,4 @@
-"""Interpretations of the efficiency f_r of Yacef et al., and solves on fixed meshes under each.
+"""Interpretations of the efficiency f_r of Yacef et al., and solves with each on fixed meshes.
 
 f_r is the efficiency of motor and rotor. The paper of Yacef et al. does not print f_r; here f_r is
 a polynomial recovered from public re-implementations. The polynomial is zero at some braking

@@ -249,9 +249,9 @@ def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     Returns
     -------
     dict
-        Row of the report's table of comparisons, if the power is the motors' electrical power:
-        value of each column by its name. One more item, `by_efficiency_percent`, is the saving
-        [percent] if the power is computed with f_r.
+        Row of the report's table of comparisons, computed with the motors' electrical power: value
+        of each column by its name. One more item, `by_efficiency_percent`, is the saving [percent]
+        computed with f_r instead.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

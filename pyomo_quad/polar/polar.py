@@ -4,8 +4,8 @@ Each point of the polar is a trim: the attitude and the rotor speeds that keep t
 flight at one airspeed. The equations of the scenario's model give the trim and its power P.
 
 In a wind, the velocity through the air is the velocity over ground minus the wind. At ground speed
-g, the energy per metre over ground is P / g. A second of flight may have a price c [W]. The cost
-per metre is then (P + c) / g.
+g, the energy per metre over ground is P / g. The time of flight may have a price c [W]: a second of
+flight then counts like an additional energy of c * 1 s. The cost per metre is then (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence
@@ -97,7 +97,7 @@ class SteadyCurve:
     ) -> "GroundSpeed":
         """Return the ground speed with the least energy per metre on a course in a wind.
 
-        If a second of flight has a price, the price of the flight time is added to the energy.
+        If the flight time has a price, the price is added to the energy.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class SteadyCurve:
             Angle between the course and the direction to which the wind blows [rad]; 0 is a tail
             wind.
         price_of_time : float, optional
-            Value of one second of flight, added to the power [W].
+            Price of the flight time, as energy per second of flight [W]; it is added to the power.
 
         Returns
         -------
@@ -193,11 +193,13 @@ class Polar:
     curves : tuple of SteadyCurve
         Curve of each payload, the scenario's own payload first.
     winds : DataFrame
-        Best ground speed for each wind speed and each angle between the course and the direction to
-        which the wind blows. The best ground speed has the least energy per metre over ground.
+        One row for each wind speed [m/s] and each angle [deg] between the course and the direction
+        to which the wind blows: best ground speed and airspeed [m/s], power [W], energy per metre
+        over ground [J/m], and range [m]. The best ground speed has the least energy per metre.
     reach : DataFrame
-        Row for each course: the greatest distance at which the vehicle can turn back and still
-        reach the start on the same battery charge. The wind is the scenario's mean wind.
+        One row for each course [deg]: ground speeds out and back [m/s], and the greatest distance
+        [m] at which the vehicle can turn back and still reach the start on the same battery charge.
+        The wind is the scenario's mean wind.
     wind_m_s, wind_towards_rad : float
         Speed of the mean wind, and direction to which the wind blows, counter-clockwise from x.
     depth : float
@@ -263,7 +265,7 @@ def find_polar(scenario: Scenario) -> Polar:
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Compute power and endurance of level flight at airspeeds in equal steps from 0.
 
-    The last airspeed is the greatest at which rotors and tilt keep their limits.
+    The last airspeed is the greatest below 40 m/s at which rotors and tilt keep their limits.
 
     Parameters
     ----------

@@ -58,7 +58,8 @@ class Drawing:
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
     """Return the figures of a report, with the file formats in which they are to be written.
 
-    The result has a copy of each item of `drawings`. It is empty for `Figures.NONE`.
+    The result has a copy of each item of `drawings`, whose attribute `formats` is set as `figures`
+    requests. The result is empty for `Figures.NONE`.
 
     Parameters
     ----------

@@ -212,7 +212,7 @@ def _until_finished(begun: Path) -> Iterator[None]:
 
 
 def final_folder(path: str | Path) -> Path:
-    """Resolve all symbolic links of an output path.
+    """Return the path of an output with all symbolic links resolved.
 
     Raises
     ------

@@ -1,6 +1,7 @@
-"""Reports of a plan, of a run and of a comparison of scenarios: values, templates and files.
+"""Reports of a plan, of a run and of a comparison of scenarios.
 
-A run is a plan with the flights of baseline controllers on the same mission.
+A run is a plan with the flights of baseline controllers on the same mission. The functions compute
+the values of the reports, fill in the templates and write the files.
 """
 
 import json
@@ -273,7 +274,7 @@ def _title(plan: "Plan") -> str:
 
 
 def _plan_values(plan: "Plan") -> dict[str, Any]:
-    """Return the variables of the report's template that describe a plan."""
+    """Return the variables of the report's template that describe a plan: value by name."""
     columns = plan.columns(np.linspace(*plan.trajectories.horizon, FLIGHT_SAMPLES))
     figures = plan.figures_checked
     return {

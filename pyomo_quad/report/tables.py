@@ -161,9 +161,9 @@ def plan_summary(
     plan : Plan
         The plan, which may be the best iterate of a failed solve.
     wall_s : mapping
-        Wall times [s] of further phases of the program by name, such as import and report. The
-        summary also has the wall times of building, solving and verifying the plan, taken from
-        `plan.timings`.
+        Wall times [s] of phases of the program that `plan.timings` lacks, by name, such as import
+        and report. The summary also has the wall times of building, solving and verifying the plan,
+        taken from `plan.timings`.
     warnings : sequence of str, optional
         Cautions to record.
     """
@@ -215,9 +215,9 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     result : RunResult
         A plan with the baseline flights it is compared with.
     wall_s : mapping
-        Wall times [s] of further phases of the program by name, such as the report. The summary
-        also has the wall times of planning, of the flights and of the lower bound, taken from
-        `result.timings`.
+        Wall times [s] of phases of the program that `result.timings` lacks, by name, such as the
+        report. The summary also has the wall times of planning, of the flights and of the lower
+        bound, taken from `result.timings`.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none

@@ -47,14 +47,15 @@ class Figures:
         Largest violation of a limit between collocation points, divided by the limit's magnitude.
         A magnitude below 1 counts as 1.
     turning : float
-        Largest rate of turn [rad/s] in a mission that keeps the heading constant. The level `quick`
-        tolerates about three degrees per second, and the level `standard` about half a degree per
-        second. These rates are harmless: a brief slow turn changes neither the path nor the energy.
+        Largest tolerated rate of change of the heading [rad/s], in a mission whose heading must
+        stay constant. The level `quick` tolerates about three degrees per second, and the level
+        `standard` about half a degree per second. These rates are harmless: a brief slow turn
+        changes neither the path nor the energy.
     intrusion : float
-        Largest distance [m] by which the flight may enter the clearance of a keep-out zone, fall
-        below the floor, rise above the ceiling or leave the fence. The tolerance `breach` applies
-        to these limits, too: both tolerances must be met. Without `intrusion`, a `breach` of 1 %
-        would allow half a metre at a ceiling of 50 m. At the level `proof`, `intrusion` is
+        Largest distance [m] by which the flight may violate a limit of the airspace: the required
+        distance from a keep-out zone, the floor, the ceiling or the fence. The tolerance `breach`
+        applies to these limits, too: both tolerances must be met. Without `intrusion`, 1 % of
+        `breach` would allow half a metre at a ceiling of 50 m. At the level `proof`, `intrusion` is
         infinite, so that only `breach` applies.
     integration : float
         Relative and absolute tolerance of the simulation. The value is far below the other

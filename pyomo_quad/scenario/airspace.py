@@ -35,11 +35,12 @@ class Shape(StrEnum):
 
 
 class Ball(NamedTuple):
-    """Sphere, vertical cylinder without ends, or interval: a part of a keep-out zone's description.
+    """Sphere, infinite vertical cylinder, or slab: every keep-out zone is an intersection of these.
 
     A ball is the set of places whose distance from a centre is at most a radius. The distance is
-    measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for an
-    interval. Every keep-out zone is an intersection of balls:
+    measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for a
+    slab. A slab is the space between two parallel planes. It is also called an interval, because
+    it is an interval of its one coordinate. The keep-out zones are these intersections of balls:
 
     zone | balls
     sphere | one ball in x, y and z
@@ -69,12 +70,12 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the distance from the centre is measured.
+        """Return those coordinates of places on which the distance from the ball's centre depends.
 
-        The coordinates are x, y and z for a sphere, and x and y for a vertical cylinder without
-        ends. An interval, that is, the space between two parallel planes, has a single coordinate:
-        x, y or z, or the component of the position along the normal of a polygon's edge. A place is
-        in the ball if the distance of its coordinates from the centre is at most the radius.
+        These are x, y and z for a sphere, and x and y for an infinite vertical cylinder. An
+        interval, that is, the space between two parallel planes, has a single coordinate: x, y or
+        z, or the component of the position along the normal of a polygon's edge. A place is in the
+        ball if the distance of its coordinates from the centre is at most the radius.
 
         Parameters
         ----------
@@ -280,7 +281,7 @@ class KeepOut(Part):
 
     @property
     def balls(self) -> tuple[Ball, ...]:
-        """Balls (spheres, vertical cylinders and intervals) whose intersection is the zone."""
+        """Balls (sphere, infinite vertical cylinder, slabs) whose intersection is the zone."""
         if self.low is not None and self.high is not None:
             sides = enumerate(zip(self.low, self.high, strict=True))
             return tuple(_interval(axis, low, high) for axis, (low, high) in sides)
@@ -326,8 +327,9 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        Inside the zone, the depth is the distance to the nearest face. Outside the zone, the depth
-        is minus the largest distance by which the place is beyond a face.
+        Inside the zone, the depth is the distance to the nearest face. Outside the zone, the place
+        is on the outer side of one or more faces, extended to infinity. The depth is minus the
+        largest of the distances from these faces.
 
         Parameters
         ----------
@@ -427,11 +429,10 @@ class TerrainGrid(Part):
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface: at each place, the height from which a flight home is possible.
+        """Return a smooth surface of heights at which a horizontal flight home clears the terrain.
 
-        The flight home is straight and horizontal, and must clear the terrain. At each place, the
-        surface is at least as high as the highest ground below the straight line from the place to
-        the home.
+        The flight home is straight. At each place, the surface is at least as high as the highest
+        ground below the straight line from the place to the home.
 
         Parameters
         ----------

@@ -402,7 +402,7 @@ _SCHEMA_LINE = "#:schema ./scenario.schema.json\n"
 
 
 def shipped_scenarios() -> Mapping[str, Path]:
-    """Return the paths of the shipped scenarios, by name.
+    """Return the paths of the scenario files that belong to the package, by name of the scenario.
 
     Some scenarios are listed a second time under a short name, such as `paper`.
     """

@@ -186,9 +186,9 @@ def quantity(
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether earlier versions of the package lacked the field. A stored scenario without such a
-        field is read with the field's default. When a scenario is stored, such a field is left out
-        if its value is the default.
+        Whether earlier versions of the package lacked the field. When the package stores a
+        scenario, for example in a report, such a field is left out if its value is the default. A
+        stored scenario without such a field is read with the field's default.
     initial : object, optional
         Value that the field gets if a scenario file leaves the field out. A stored scenario without
         the field gets the default instead. If `initial` is not given, the field gets the default in
@@ -287,10 +287,12 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the initial value of a field: its value if a scenario file leaves the field out.
+    """Return the initial value of a field: its value if a scenario file omits the field.
 
-    The result is None for a field without an initial value. Most fields have none: if a file leaves
-    such a field out, the field gets its default. See `quantity`, which declares both values.
+    Only a few fields have an initial value that differs from the default. For all other fields the
+    result is None, and the default takes the place of the initial value. In a scenario that the
+    package has stored, for example in a report, a missing field always gets its default. See
+    `quantity`, which declares both values.
 
     Parameters
     ----------

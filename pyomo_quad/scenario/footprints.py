@@ -1,8 +1,8 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
 Keep-out zones must be convex. The model keeps the flight out of a zone by this condition: each
-place of the flight is beyond at least one face of the zone. For a concave zone the condition is not
-enough, because a place inside the zone can be beyond one of its faces.
+place of the flight is on the outer side of the plane of at least one face. For a concave zone the
+condition is not enough, because it also holds at some places inside the zone.
 
 A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, without gaps between the
 zones. A concave fence is replaced by its convex hull. The parts of the hull outside the fence
@@ -104,7 +104,7 @@ def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
     Returns
     -------
     list of list
-        Corners of each convex part.
+        Corners (x, y) of each convex part, in order.
     """
     from shapely import Polygon, constrained_delaunay_triangles  # noqa: PLC0415  see `_polygon_of`
 

@@ -130,9 +130,9 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
     Each remark is a text for the user. There are at most two.
 
     The remark on the motors concerns the product of torque constant [N m/A] and voltage constant
-    [rad/s/V]. A motor conserves energy, and its product is 1. The remark is made if the product of
-    the given constants differs noticeably from 1, but rounding of the constants can explain the
-    difference.
+    [rad/s/V]. The product is 1 for a real motor, because a motor conserves energy. The remark is
+    made if the product of the given constants differs noticeably from 1, but rounding of the
+    constants can explain the difference.
 
     The remark on the rotors concerns their figure of merit: ideal power divided by shaft power in
     hover. The remark is made if the figure of merit is unusually high.
@@ -177,7 +177,8 @@ def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float
 
     In the motor model, a motor creates power if torque constant times voltage constant exceeds 1.
     The motor also has a copper loss, which grows faster with the speed than the created power. At
-    the returned speed, the copper loss equals the created power. Above it, the loss is greater.
+    the returned speed, the copper loss equals the created power. Above this speed, the copper loss
+    is greater.
 
     Parameters
     ----------

@@ -262,12 +262,15 @@ class Scenario(Part):
         return self.with_mission(**values)
 
     def cruising(self, settings: CruiseSettings) -> Self:
-        """Return the scenario with given settings of the autopilot of the baseline flight `cruise`.
+        """Return a copy of the scenario with other settings of the baseline flight `cruise`.
+
+        The flight `cruise` imitates the flight of an autopilot. A plan is compared with this
+        flight.
 
         Parameters
         ----------
         settings : CruiseSettings
-            Largest speed, acceleration and jerk.
+            Largest speed, acceleration and jerk of the flight `cruise`.
         """
         values = {
             "cruise_speeds": (settings.speed,),

@@ -51,7 +51,8 @@ def in_plain_terms(
     tables : dict
         Tables of the scenario with values of the library.
     own : mapping
-        Tables that the user wrote in the scenario and its overrides.
+        Tables that the user wrote in the scenario and its overrides, without values of the library.
+        The function uses them to find a field that the user has given in both notations.
     provenance : dict
         Origin of each value by dotted path. The function adds the origins of converted fields, and
         removes the origins of the keys `from`.

@@ -552,7 +552,8 @@ def with_coupling(
     tables : dict
         Tables of the scenario, with values from the package's library.
     own : mapping
-        Tables that the user wrote in the scenario and its overrides.
+        Tables that the user wrote in the scenario and its overrides, without values of the library.
+        They show whether the user has given a coupling for the forecast.
     provenance : dict
         Origin of each value by dotted path. The function adds the origins of the couplings.
 

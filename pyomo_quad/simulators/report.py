@@ -31,9 +31,9 @@ def draw_causes(study: OutsideStudy) -> "Figure":
     RotorPy's model differs from the package's own model in several features. For example, its
     rotors cause no gyroscopic moment. Each line is one flight in RotorPy. In most of the flights,
     exactly one feature differs from the package's model, and the line shows the effect of this
-    feature. Two more lines are for comparison: a flight in
-    which no feature differs, and a flight with RotorPy's own defaults. The first panel has flights
-    without feedback, the second panel flights under the adaptive controller.
+    feature. Two more lines are for comparison: a flight in which no feature differs, and a flight
+    with RotorPy's own defaults. The first panel has flights without feedback, the second panel
+    flights under the adaptive controller.
 
     Parameters
     ----------
@@ -65,7 +65,7 @@ def draw_causes(study: OutsideStudy) -> "Figure":
 
 
 def write_outside_report(folder: Path, study: OutsideStudy, figures: Figures = Figures.SVG) -> None:
-    """Write the report of missions flown in RotorPy: table, figure and `report.md`.
+    """Write the report of missions flown in the simulator RotorPy: table, figure, `report.md`.
 
     Parameters
     ----------

@@ -356,7 +356,7 @@ class _Mission:
         followed: Reference,
         stiffness: float = 1.0,
     ) -> Flown:
-        """Describe a flight in RotorPy under a variant of controller SE3, to be simulated later.
+        """Describe a flight in RotorPy under a variant of its controller SE3, for later simulation.
 
         Parameters
         ----------

@@ -30,7 +30,12 @@ _LONGEST_S = 10.0
 
 
 class AimColumn(TableColumn):
-    """Columns of the table that compares the plans of least energy and least charge, in order."""
+    """Columns of the table that compares the plans of least energy and least charge.
+
+    Each row of the table is one of the two plans. The columns are, from left to right: objective
+    of the plan, energy, charge, and whether the plan is that of the run. The other plan was solved
+    only for the comparison.
+    """
 
     AIM = "aim"
     ENERGY = "energy_J"

@@ -9,9 +9,9 @@ searches for the settings of least energy. Each flight of the search is simulate
 controller. A flight that breaks a limit of the vehicle or misses the goal is penalised. One triple
 of settings serves the whole mission.
 
-If all legs are long compared with the distance of acceleration, the energy is nearly the energy of
-steady flight. The search then begins at the speed of least energy per metre in steady flight, and
-tries speeds near it.
+If all legs are long compared with the distance that the vehicle needs to reach its speed, the
+energy is nearly the energy of steady flight. The search then begins at the speed of least energy
+per metre in steady flight, and tries speeds near this speed.
 """
 
 from dataclasses import dataclass, replace
@@ -147,7 +147,7 @@ def fly_cruise(
     Parameters
     ----------
     scenario : Scenario
-        The mission, in its actual wind.
+        The mission. Flights are simulated in its actual wind, not in a forecast.
     settings : CruiseSettings
         Limits on speed, acceleration and jerk.
     plan : Plan or None
@@ -174,8 +174,9 @@ def _with_longest_wait(
 ) -> tuple[Scenario, Dynamics]:
     """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
 
-    The wait is the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. The flight with the
-    long wait is simulated first, to find the time at which the vehicle arrives.
+    The wait is the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. The callers
+    simulate the flight with this wait, and then look for the first time at which the vehicle has
+    arrived and the flight can end.
 
     Parameters
     ----------
@@ -245,7 +246,7 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     Parameters
     ----------
     scenario : Scenario
-        The mission, in its actual wind.
+        The mission. Flights are simulated in its actual wind, not in a forecast.
     plan : Plan or None
         Plan of the mission. Its costates (sensitivities of the energy to the state) give an
         estimate of the energy from the end of each flight to the exact goal state. None for no
@@ -285,7 +286,7 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
     Parameters
     ----------
     scenario : Scenario
-        The mission, in its actual wind.
+        The mission. Flights are simulated in its actual wind, not in a forecast.
     plan : Plan or None
         Plan of the mission. Its costates (sensitivities of the energy to the state) give an
         estimate of the energy from the end of each flight to the exact goal state. None for no
@@ -332,18 +333,20 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
 def _start_of_search(
     scenario: Scenario, planner: Planner
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the first settings of the search for an autopilot's settings, and three factors.
+    """Return the initial simplex of the search for an autopilot's settings, as two triples.
 
-    The settings and the factors give the initial simplex of Nelder and Mead's method. One vertex of
-    the simplex is the first settings. In each of the three other vertices, one setting is
-    multiplied by its factor. `scenario` is the mission, and `planner` holds the compiled equations.
+    Nelder and Mead's method searches for the three settings of least energy: the limits on speed,
+    acceleration and jerk. The first triple is one vertex of the initial simplex. The second triple
+    has a factor for each setting. Each of the three other vertices is the first vertex with one
+    setting multiplied by its factor. `scenario` is the mission, and `planner` holds the compiled
+    equations.
 
     Returns
     -------
     settings : tuple of float
-        Speed [m/s], acceleration [m/s^2] and jerk [m/s^3].
+        Speed [m/s], acceleration [m/s^2] and jerk [m/s^3] of the first vertex.
     factors : tuple of float
-        Factor on each setting.
+        Factors on speed, acceleration and jerk.
     """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
@@ -408,7 +411,12 @@ def _tried(
 
 
 class TuningColumn(TableColumn):
-    """Columns of the table of settings that the tuning of an autopilot tried, in order."""
+    """Columns of the table of settings that the tuning of an autopilot tried.
+
+    Each row of the table is one choice of the settings speed, acceleration and jerk, with the
+    results of its simulated flight. The columns are, from left to right: speed and acceleration,
+    each as set and as reached; jerk; duration; energy; whether the flight arrived; broken limits.
+    """
 
     SPEED = "speed_asked_m_per_s", lambda one: one.settings.speed
     SPEED_REACHED = "speed_reached_m_per_s", lambda one: one.reached.speed

@@ -41,10 +41,11 @@ CHARGE_RESERVE = "charge reserve"
 
 
 class CampaignColumn(TableColumn):
-    """Columns of the table of a campaign, in order.
+    """Columns of the table of a campaign's flights, one row for each flight.
 
-    A campaign is a series of missions repeated on one or more battery charges. Each row of the
-    table is a flight.
+    A campaign is a series of missions repeated on one or more battery charges. The columns are,
+    from left to right: number of the battery charge, number of the flight on this charge, name of
+    the mission, duration, energy, state of charge at the start and at the end, lowest voltage.
     """
 
     CHARGE = "charge", lambda flight: flight.charge
@@ -162,8 +163,8 @@ def fly_campaign(
     ------
     ScenarioError
         If the missions have different batteries, or if a mission takes its equations from a user's
-        own Python function (scenario field `model`). The package does not know the battery of such
-        a function.
+        own Python function (scenario field `model`). A campaign reads the state of charge of the
+        battery that the scenario declares. A user's function may model another battery, or none.
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))

@@ -64,7 +64,9 @@ class ThrustMoments:
     weights : ndarray, shape (2, n, 3)
         Dimensionless weights of the thrust in the first and the second integral, at the nodes,
         along each axis. The first weight is 1. The second is (k(t) - mean of k over the flight) /
-        duration, with k(t) of docs/theory/bound.md, eq. (3).
+        duration. If the velocity is increased at the time t, the vehicle is further along the axis
+        at the end of the flight. k(t) is this additional distance divided by the increase of the
+        velocity (docs/theory/bound.md, eq. (3)).
     demanded : ndarray, shape (2, 3)
         Values of the first and the second integral that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
@@ -239,7 +241,8 @@ def _standing_moments(
     plain : ndarray, shape (3,)
         Integral with the weight 1 along each axis, N s.
     levered : ndarray, shape (3,)
-        Integral with the weight k(t) of eq. (3) along each axis, N s^2.
+        Integral with the weight k(t) along each axis, N s^2. k(t) is the weight `lever` of the
+        function `_weights` (eq. (3)).
     """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
@@ -289,7 +292,8 @@ class Certificate:
     lower_bound_J : float or None
         Energy below which no flight of the mission exists; None if no bound is known.
     hover_energy_J : float
-        Energy of hovering in still air for the nominal duration of the mission.
+        Energy of hovering in still air for the duration of the mission, or for the estimated
+        duration if the mission leaves the duration free.
     applies : bool
         Whether a bound is known.
     reason : str
@@ -665,10 +669,10 @@ def _has_places(
     """Return whether the function `_bound_of_places` may be called for a mission.
 
     That function computes a lower bound on the energy from the winds that blow at each place of a
-    wind field. It may be called if the mission meets four conditions. The mission has a single leg
-    with exact start and goal. A flight may not leave the field: the scenario's `wind.beyond` is not
-    "hold". The winds of the field are horizontal and not all equal. The thrust `standing` is
-    vertical.
+    wind field. It may be called if the mission meets four conditions. The mission has a single leg,
+    without a tolerance on the places of start and goal. A flight may not leave the field: the
+    scenario's `wind.beyond` is not "hold". The winds of the field are horizontal and not all equal.
+    The thrust `standing` is vertical.
 
     Parameters
     ----------
@@ -704,10 +708,10 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield the features of a scenario for which no lower bound on the energy is known, in words.
+    """Yield a sentence for each feature of a scenario that prevents a lower bound on the energy.
 
-    An example is a user's own model. If the scenario has none of these features, nothing is
-    yielded.
+    No lower bound is known for a scenario with such a feature. An example is a user's own model.
+    If the scenario has no such feature, nothing is yielded.
     """
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."

@@ -35,7 +35,10 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Check a mission's battery before the solve: its charge, its power and its limits.
+    """Check before the solve whether a mission's battery has enough charge and power.
+
+    The limits on the battery are checked, too. A finding is the result of one check: a severity,
+    and a message for the user. Nothing is yielded if no fault is found.
 
     Parameters
     ----------
@@ -79,7 +82,8 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
 
     The lower bound on the energy, divided by the duration, is a lower bound on the mean power.
     Every flight breaks a limit that does not permit even this mean power. The limits are those on
-    the state of charge, current and voltage, and on the power as a share of the greatest power.
+    state of charge, current and voltage of the battery, and on the power as a share of the greatest
+    power that the battery can give.
 
     Parameters
     ----------
@@ -561,7 +565,7 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
     Parameters
     ----------
     plan : Plan
-        Plan of any status.
+        The plan, which may be the result of a failed solve.
     planner : Planner, optional
         Holds the compiled equations; by default a new planner.
 

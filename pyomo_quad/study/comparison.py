@@ -1,6 +1,7 @@
 """Comparison of the flights of a mission in one table, and the effect of adaptation.
 
-Adaptation means that the controller estimates the disturbance acceleration, and compensates it.
+Adaptation means that the controller estimates the disturbance acceleration, and compensates it. The
+disturbance acceleration is the force of the air on the vehicle divided by the mass.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -48,14 +49,15 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
     """Simulate a mission twice under the adaptive controller: with and without its adaptation.
 
-    With adaptation, the controller estimates the disturbance acceleration, and compensates it. Both
+    With adaptation, the controller estimates the disturbance acceleration, and compensates it. The
+    disturbance acceleration is the force of the air on the vehicle divided by the mass. Both
     flights follow the same smooth path (quintic polynomial) from start to goal in the actual wind.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission. Its duration and the passing times of its waypoints must be fixed. In the
-        property `mission_flown` of a `Plan`, they are fixed to the values of the plan.
+        The mission, with fixed duration and fixed passing times of the waypoints. The property
+        `mission_flown` of a `Plan` is such a scenario: its times are those of the plan.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual wind.
 
@@ -100,7 +102,12 @@ _PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 
 
 class ComparisonColumn(TableColumn):
-    """Columns of the table that compares the flights of a mission, in order."""
+    """Columns of the table that compares the flights of a mission, one row for each flight.
+
+    The columns hold, among others, duration and energy of the flight, the lower bound on the
+    energy, the saving of the plan, and the limits that the flight broke. The function
+    `compare_flights` makes the table and explains its values.
+    """
 
     SCENARIO = "scenario"
     FLIGHT = "flight"
@@ -265,7 +272,11 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
 
 
 class LegColumn(TableColumn):
-    """Columns of the table of a flight's legs (from waypoint to waypoint), in order."""
+    """Columns of the table of a flight's legs, the parts from one waypoint to the next.
+
+    Each row of the table is a leg, or a hover at a waypoint. The columns are, from left to right:
+    name, time of the start, time of the end, length and energy.
+    """
 
     LEG = "leg"
     BEGUN = "begun_s"
@@ -354,7 +365,13 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
 
 
 class ReplanningColumn(TableColumn):
-    """Columns of the table of flights whose plan is solved again during the flight, in order."""
+    """Columns of the table of flights whose plan is solved again during the flight.
+
+    Each row of the table is a flight. The columns are, from left to right: name; energy; distance
+    from the goal at the end; whether the flight arrived; number of solves; numbers of solves that
+    failed, that took longer than the time allowed, and that took longer than the interval to the
+    next solve; and of the times of the solves the median, the 95 % quantile and the longest.
+    """
 
     FLIGHT = "flight"
     SETTLED_ENERGY = "settled_energy_J"
@@ -372,11 +389,11 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    A solve is late if it took longer on this machine than the scenario's ``solve_time``, the time
-    allowed for a solve. The table also counts the solves that took longer than the interval to the
-    next solve. Both counts use the measured times of the solves. In the simulated flight each new
-    plan takes effect after a delay. The attribute `clock` of `settings` selects the delay:
-    the measured time of the solve, or ``solve_time``.
+    The table counts the late solves of each flight. A solve is late if it took longer on this
+    machine than ``settings.solve_time``, the time allowed for a solve. The table also counts the
+    solves that took longer than the interval to the next solve. Both counts use the measured times
+    of the solves. The delay after which a new plan takes effect in the simulated flight may be
+    another time: ``settings.clock`` selects either the measured time or ``settings.solve_time``.
 
     Parameters
     ----------

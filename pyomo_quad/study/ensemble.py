@@ -128,10 +128,11 @@ class Ensemble(Summarised):
     def worst(self) -> dict[str, float]:
         """Largest violation of each broken limit over all flights.
 
-        The key is the limit in words. The value is as a rule the violation divided by the larger of
-        1 and the limit. For the limit on the final distance from the goal, the value is the
-        distance [m]. For the limit on the final speed, the value is the speed [m/s]. For the
-        battery, the value is the missing fraction of power or charge.
+        The key is the limit in words. For most limits, the value is the violation divided by the
+        larger of 1 and the limit. Three limits have other values. For the limit on the final
+        distance from the goal, the value is the distance [m]. For the limit on the final speed, the
+        value is the speed [m/s]. For the battery, the value is the fraction of power or charge that
+        the battery lacks.
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
@@ -220,7 +221,7 @@ def fly_plan_often(
         `mission_flown` of a `Plan`.
     held : Trajectories
         States and controls of the plan over time. The plan was made for the scenario's forecast of
-        the wind.
+        the wind. If there is no forecast, the plan was made for the actual wind without turbulence.
     planner : Planner
         Holds the compiled equations of the vehicle.
     flights, seed : int

@@ -27,7 +27,12 @@ _SAME_TIME = 1e-4
 
 
 class FrontColumn(TableColumn):
-    """Columns of the table of an energy-time front (least energy against duration), in order."""
+    """Columns of the table of an energy-time front (least energy against duration).
+
+    Each row of the table is an optimal flight for one price of time, the weight of the duration in
+    the objective. The columns are, from left to right: price of time, duration, energy, and whether
+    the flight is the plan of the run.
+    """
 
     PRICE = "price_of_time_W"
     DURATION = "duration_s"
@@ -42,8 +47,8 @@ def energy_time_front(
 
     The price of time [W] is the weight of the duration in the objective energy + price * duration.
     Each solve starts from the plan, and therefore passes keep-out zones on the same sides as the
-    plan. Each solve uses the mesh of the plan, which is accurate enough for energies. Limits
-    between the mesh points are not checked.
+    plan. Each solve uses the mesh of the plan, which is accurate enough for energies. Whether the
+    flights keep the limits between the mesh points is not checked.
 
     Parameters
     ----------
@@ -57,8 +62,10 @@ def energy_time_front(
     Returns
     -------
     DataFrame
-        Columns of `FrontColumn`, the shortest flight first; empty if the plan is not verified or
-        its duration is fixed.  The plan's price is NaN if its objective is the least time.
+        Columns of `FrontColumn`, one row for each flight, the shortest flight first. The price in
+        the row of the plan is NaN if the plan's objective is the least time. The table is empty if
+        the plan's duration is fixed, or if no simulation confirmed the plan to the requested
+        accuracy.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return FrontColumn.of_rows(())
@@ -97,7 +104,7 @@ def planned_alike(
     Returns
     -------
     Plan
-        Plan of any status.
+        The plan of the changed mission. If the solve failed, its `status` says so.
     """
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
     told = plan.scenario.with_mission(**changed).model_copy(update=once)

@@ -41,8 +41,8 @@ class Headline:
     battery_percent : float or None
         Charge that the plan uses, in per cent of the capacity; None without a battery.
     rival : mapping or None
-        Row of the comparison for the flight with which the plan is compared; None if no other
-        flight arrived within the limits.
+        Row of the comparison table for the flight with which the plan is compared; None if no
+        other flight arrived within the limits.
     settings : CruiseSettings or None
         Speed, acceleration and jerk of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
@@ -70,8 +70,8 @@ class Headline:
         cost.
 
         The plan is normally compared with a single other flight. If an autopilot was simulated in
-        the same turbulence as the plan, the energy saving is instead that over the many flights of
-        the autopilot in turbulence. A single flight in turbulence cannot be compared with the plan,
+        the same turbulence as the plan, many flights of the plan are instead compared with many
+        flights of the autopilot. A single flight in turbulence cannot be compared with the plan,
         because the plan was made for the mean wind.
         """
         charge = ""
@@ -214,10 +214,10 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 
 
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
-    """Return the legend of a comparison table: names of flights, and what they are in words.
+    """Return the legend of a comparison table, which describes each kind of flight in words.
 
-    `rows` are the rows of the table. Each item of the list describes one kind of flight: the names
-    of the flights of this kind, and the description.
+    `rows` are the rows of the table. The result has an item for each kind of flight: the names of
+    the flights of this kind, and the description of the kind.
     """
     found: dict[str, list[str]] = {}
     for row in rows:

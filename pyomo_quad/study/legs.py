@@ -12,7 +12,7 @@ r_k | largest distance of the start of leg k from its nominal place, plus that o
 s_k | thrust that holds the vehicle still on leg k, against weight and the force of a steady wind
 p | price of thrust and momentum, W/N = J per N s
 y | price of velocity, J per m/s: m_k times p, linear in time on each leg
-P* | conjugate of the power: maximum of price of thrust times thrust minus power
+P* | conjugate of the power: maximum over the thrust of (price of thrust * thrust - power)
 A_k, G_k | terms of the bound, J s and W, defined below
 
 With the acceleration a, the thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any
@@ -104,7 +104,7 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     Returns
     -------
     legs : list of Leg
-        From start to goal.
+        The legs in the order from start to goal.
     shared : list of tuple of float
         Least and greatest sum of the durations of the legs of each group, s.
     """
@@ -159,9 +159,9 @@ class Itinerary:
     mass : float
         Mass at the start, kg.
     conjugate : callable
-        Convex conjugate of the power: takes prices (multipliers) of thrust, shape (n,), W/N;
-        returns the maximum of price times thrust minus power [W], and the thrust of the maximum
-        [N].
+        Convex conjugate of the power. Takes prices (multipliers) of thrust, shape (n,), W/N.
+        Returns for each price the maximum over the thrust of (price * thrust - power) [W], and the
+        thrust of the maximum [N].
     """
 
     def __init__(
@@ -254,11 +254,12 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust for the start of the search, W/N. The search starts from
-            these prices of velocity at the ends of the legs: `price` times the mass at the start of
-            the flight, minus a positive factor times the position relative to the start of the
-            flight. On each leg, the price of velocity then changes in the direction opposite to the
-            displacement. The terms A_k of the sum are therefore positive, and the bound is finite.
+            Price (multiplier) of thrust for the start of the search, W/N. The first prices of
+            velocity, at the ends of the legs, are `price` times the mass at the start of the
+            flight, minus a positive factor times the position relative to the start of the flight.
+            Several factors are tried, and the search begins with the best. On each leg, the price
+            of velocity then changes in the direction opposite to the displacement. The terms A_k of
+            the sum are therefore positive, and the bound is finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(

@@ -1,9 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of flights along the plan in turbulence that break a limit.
-The sentences also say whether this risk covers the limits that a flight breaks. The planner
-simulates test flights in turbulence. The risk covers the limits that the test flights break most
-often.
+The planner simulates test flights of the plan in turbulence. The sentences also say whether a
+flight that breaks limits may be one of the flights that the risk allows. This is only possible if
+the flight breaks no other limits than those that the test flights break most often.
 """
 
 from collections.abc import Iterator, Sequence
@@ -62,12 +62,13 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 
 
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
-    """Return in words whether the plan's risk covers the limits that a flight breaks.
+    """Return in words whether a flight that breaks limits is one that the plan's risk allows.
 
     The risk is the share of the plan's flights in turbulence that may break a limit. The planner
-    simulates test flights of the plan in turbulence. The risk covers the limits that the test
-    flights break most often. `risk` is the record of the risk and of the test flights; None for a
-    plan without risk.
+    simulates test flights of the plan in turbulence. The risk allows a flight that breaks only
+    those limits that the test flights break most often. For a flight to which the risk does not
+    apply, such as the flight of a controller without the plan, the words say so. `risk` is the
+    record of the risk and of the test flights; None for a plan without risk.
     """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"

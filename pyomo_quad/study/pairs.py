@@ -151,7 +151,7 @@ class Pairs:
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose limits on rotor speed and speed bound the pairs.
+        Scenario whose limits on the rotor speed and on the speed of the vehicle bound the pairs.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual steady wind.
     standing : ndarray, shape (3,)
@@ -277,9 +277,9 @@ class Pairs:
         Returns
         -------
         ndarray, shape (8, n)
-            The rows are: H [W] without the terms that are the same for all pairs (`_constant`),
-            thrust [N], rotor speed [rad/s], margin, force of the air across and along the thrust
-            [N], power [W], and excess [W].
+            The rows are: H [W] without the terms that are the same for all pairs, thrust [N], rotor
+            speed [rad/s], margin, force of the air across and along the thrust [N], power [W], and
+            excess [W]. The method `_constant` returns the sum of the terms left out of H.
 
         Notes
         -----
@@ -393,7 +393,7 @@ class Pairs:
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
         momentum, position and kinetic energy of the vehicle, each times its price. A price is the
         Lagrange multiplier of the total change, which the mission fixes. Pairs over the whole range
-        are sampled, for each wind at a corner of the polyhedron of winds. The least local minima
+        are sampled, for each wind at a corner of the polyhedron of winds. The lowest local minima
         are then refined. The least value found may lie above the true minimum; `least` returns a
         proven lower bound. A linear program searches for the prices that give the largest lower
         bound on the energy of a flight. Each returned pair becomes a constraint of this program.
@@ -410,7 +410,7 @@ class Pairs:
         float
             Least value of H found [W].
         list of ndarray, shape (8,)
-            One array for each pair at one of the least local minima of H: the power of the pair
+            One array for each pair at one of the lowest local minima of H: the power of the pair
             [W], then the derivatives of H with respect to the prices of momentum (3) [N],
             displacement (3) [m/s] and kinetic energy (1) [W]. If the thrust that holds the vehicle
             still (`standing`) is vertical, seven arrays follow each array. They belong to copies of
@@ -490,8 +490,8 @@ class Pairs:
         The first result holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced
         velocity [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s].
         The second result holds the values of H at these pairs [W], shape (n,), without the terms
-        that are the same for all pairs (`_constant`). Only the n least local minima are returned; n
-        is at most `_CANDIDATES`.
+        that are the same for all pairs; `_constant` returns the sum of these terms. Only the n
+        lowest local minima are returned; n is at most `_CANDIDATES`.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -603,8 +603,8 @@ class Pairs:
 
         H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
         momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier of the total change). Terms that are the same for all pairs (`_constant`) are
-        left out here.
+        multiplier of the total change). The terms that are the same for all pairs are left out
+        here; the method `_constant` returns their sum.
 
         Parameters
         ----------

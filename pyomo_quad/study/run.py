@@ -51,7 +51,8 @@ class RunResult(Summarised):
     scenario : Scenario
         Scenario that was run.
     plan : Plan
-        The optimal plan, of any status.
+        Plan of the scenario. Its attribute `status` tells whether the solve succeeded and whether
+        simulation confirmed the plan.
     flights : tuple of Flight
         The flight of the plan first, then the simulated flights; empty if the solve failed.
     comparison : DataFrame
@@ -66,10 +67,10 @@ class RunResult(Summarised):
         fixes its duration.
     aims : DataFrame
         Comparison of the plans of least energy and of least battery charge, from the function
-        `study.aims.energy_and_charge`. The table is empty if the plan is not verified, or if the
-        solve for the other objective fails. It is also empty with a user's own model, with the
-        objective of least time, and with the attitude equations of Yacef et al. (`vehicle.attitude`
-        "paper").
+        `study.aims.energy_and_charge`. The table is empty if simulation did not confirm the plan to
+        the requested accuracy, or if the solve for the other objective fails. It is also empty with
+        a user's own model, with the objective of least time, and with the attitude equations of
+        Yacef et al. (`vehicle.attitude` "paper").
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound. "front" is the time for the tables `front` and
@@ -354,14 +355,15 @@ def _run(
 
 
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
-    """Yield a warning for each simulated flight that failed or could not be verified.
+    """Yield a warning for each simulated flight that failed, or whose simulation is doubtful.
 
     Parameters
     ----------
     flown : sequence
         Results of the simulations: flights, or the reason of a failure as a text.
     flights : sequence of Flight
-        Completed flights; `Flight.doubt` is the reason why a flight is not verified.
+        Completed flights. `Flight.doubt` is the reason why a flight is doubtful, such as two
+        integrators with different results; empty if there is no doubt.
     """
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
@@ -379,7 +381,8 @@ def _often(
     planner : Planner
         Holds the compiled equations of the vehicle.
     tuning : Tuning or None
-        Tuned autopilot of the run, which is simulated in the same winds.
+        Tuned autopilot of the run, which is simulated in the same winds; None if no autopilot was
+        tuned.
     references : sequence of Reference
         Reference trajectories of the run. If `tuning` is None and the trajectories contain
         `Reference.CRUISE`, an autopilot with the scenario's first cruise speed is simulated.
@@ -387,7 +390,8 @@ def _often(
     Returns
     -------
     InTurbulence or None
-        None without turbulence, and if a flight fails.
+        The flights in turbulence. None if the scenario has no turbulence, if simulation did not
+        confirm the plan, or if a simulation in turbulence fails.
     tuple of str
         The warning about a failure; empty without failure.
     """

@@ -1,4 +1,4 @@
-"""Base class for the columns of result tables, each declared with the function that fills it."""
+"""Base class for the columns of result tables: names and order, and functions for the values."""
 
 from collections.abc import Callable, Iterable, Sequence
 from enum import StrEnum
@@ -9,10 +9,11 @@ if TYPE_CHECKING:
 
 
 class TableColumn(StrEnum):
-    """Base class of the columns of a table: an enumeration of their names, in order.
+    """Base class of enumerations of a table's columns, one member for each column, in order.
 
-    A table can be made from one object per row. Each column then also has a function that computes
-    the column's value from the object.
+    The value of a member is the heading of the column. A table can be made from one object for each
+    row. The member then also has a function `read`, which takes the object and returns the row's
+    value in this column.
     """
 
     read: Callable[[Any], object]
@@ -21,7 +22,8 @@ class TableColumn(StrEnum):
         """Make a column of a table, with the heading `name`.
 
         Each row of a table can be made from one object. The function `read` takes this object, and
-        returns the row's value in this column.
+        returns the row's value in this column. `read` is not used for a table whose rows are given
+        as values.
         """
         column = str.__new__(cls, name)
         column._value_ = name

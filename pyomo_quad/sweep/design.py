@@ -1,6 +1,6 @@
 """Design of a parameter sweep: the values of each axis, and the cases in row order.
 
-An axis is a scenario field with the values that it takes. Axes that advance together form a
+An axis is a scenario field with the values that it takes. Axes whose values change together form a
 dimension. A step of a dimension gives each of its fields one value. The cases are all combinations
 of steps, and form a grid.
 """

@@ -56,8 +56,8 @@ class Sensitivity:
 
     For a field with given values, the quantity is averaged over the draws of the random fields, if
     there are any. For a random field, a linear function of all random fields is fitted to the
-    quantity. The range is that of the fitted function as the random field varies. The other random
-    fields are at their means.
+    quantity. The range is that of the fitted function as the random field varies between the 5 %
+    and 95 % quantiles of its draws. The other random fields are at their means.
 
     Attributes
     ----------

@@ -67,7 +67,10 @@ class Pack:
         return f"{cells} {1000 * self.capacity:g} mAh"
 
     def fields(self) -> dict[str, Estimate]:
-        """Return the estimated values of a battery file's fields, each with range and origin."""
+        """Return the estimated value of each field of a battery file, by the field's name.
+
+        Each value is an `Estimate`, which also has a range of uncertainty and the origin.
+        """
         capacity = self.capacity / self.parallel
         resistance = _RESISTANCE_BY_CAPACITY / capacity
 

@@ -175,14 +175,15 @@ class BernsteinRows:
 
 @dataclass(frozen=True, kw_only=True)
 class Restraint:
-    """Increase of the objective by the bounds that are imposed between the collocation points.
+    """Increase of the objective that the bounds between the collocation points cause.
 
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
-        First-order estimate of the increase by the bounds in each element, in the unit of the
-        objective. The bounds are imposed on the Bernstein coefficients of a polynomial. They are
-        stricter than bounds on the polynomial itself, and therefore raise the objective.
+        First-order estimate of the increase that the bounds in each element cause, in the unit of
+        the objective. The bounds are imposed on the Bernstein coefficients of the variables'
+        polynomials. They are stricter than bounds on the polynomials themselves, and therefore
+        raise the objective.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.

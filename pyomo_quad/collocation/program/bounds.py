@@ -63,8 +63,9 @@ def bounds_of(
     program : Transcription
         Nonlinear program on one mesh, with parameter values.
     start_data : ndarray, shape (1 + n_jumps, n_data)
-        Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
-        the horizon and just after each jump of a parameter.
+        Parameter values at times that are not collocation points: one row for the start of the
+        horizon, then one row for the time just after each jump of a parameter. The columns are the
+        fraction of the horizon, the time-dependent parameters and the constant parameters.
     fixed : dict
         Values of variables fixed at declared times (members of the continuous set), by (variable
         name, fraction of the horizon).
@@ -112,8 +113,9 @@ def limits_of(
     program : Transcription
         Nonlinear program on one mesh, with parameter values.
     start_data : ndarray, shape (1 + n_jumps, n_data)
-        Fraction of the horizon, time-dependent parameters and constant parameters, at the start of
-        the horizon and just after each jump of a parameter.
+        Parameter values at times that are not collocation points: one row for the start of the
+        horizon, then one row for the time just after each jump of a parameter. The columns are the
+        fraction of the horizon, the time-dependent parameters and the constant parameters.
     fixed : dict
         Values of variables fixed at declared times (members of the continuous set), by (variable
         name, fraction of the horizon).

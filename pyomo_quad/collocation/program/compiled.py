@@ -42,7 +42,8 @@ def _mapped(function: Any, size: int, n_shared: int) -> Any:
     """Return a CasADi function that evaluates a function at several points.
 
     `function` is the CasADi function of one point, and `size` the number of points. The first
-    `n_shared` inputs are the same at all points.
+    `n_shared` inputs are the same at all points. Every other input, and every output, of the
+    returned function has one column per point.
     """
     if size == 1:
         return function
@@ -398,10 +399,11 @@ class TableArguments:
 class CompiledModel:
     """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
-    The data of a point are the fraction of the horizon, the time-dependent parameters and the
-    constant parameters. A static variable is a variable without time. A condition is a constraint
-    among values at declared times (members of the continuous set), static variables and integrals.
-    Rates are derivatives of the states with respect to the fraction of the horizon.
+    Path equations are the equalities and inequalities that hold at each collocation point. The data
+    of a point are the fraction of the horizon, the time-dependent parameters and the constant
+    parameters. A static variable is a variable without time. A condition is a constraint among
+    values at declared times (members of the continuous set), static variables and integrals. Rates
+    are derivatives of the states with respect to the fraction of the horizon.
 
     Attributes
     ----------
@@ -795,6 +797,7 @@ def _anonymous(function: Any) -> str:
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
     """Return the CasADi function from data to the lower and upper bounds of `items`.
 
+    The function has two outputs: the column of all lower bounds and the column of all upper bounds.
     The items are constraints or variables, each with a lower and an upper bound. `data` is the
     column of the symbols (such as parameters) that these bounds contain, and `name` is the name of
     the function.

@@ -52,7 +52,7 @@ def definitions(
         Nonlinear program on one mesh.
     z : ndarray, shape (n_unknowns,)
         Unknowns of the program. A coefficient counts as constant if it has the same value at all
-        collocation points, and again after a shift of all variables.
+        collocation points, and keeps this value when all variables are changed.
     among : iterable of int, optional
         Indices (among all algebraic variables) of the variables that may be defined; all by
         default. Any other algebraic variable counts as already defined.

@@ -3,8 +3,8 @@
 Slacks are unknowns that permit a violation. There are two kinds of elastic programs.
 
 One kind keeps the objective, and has slacks in the equations over time. The penalty keeps the
-violations of these equations small at its optimum. The optimum then serves as the initial point for
-a solve of the original program, without slacks.
+violations of these equations small at the optimum of the elastic program. This optimum then serves
+as the initial point for a solve of the original program, without slacks.
 
 The other kind has slacks in every constraint, and minimises the sum of violations instead of the
 objective. The problem is reported as infeasible if the least sum is positive. In this case, no

@@ -93,7 +93,8 @@ _PUSHES = (
 class StartDistance(Enum):
     """Expected distance of a warm start from the point at which the solve ends.
 
-    The end point lies on the central path: the curve of optima for positive barrier parameters.
+    The end point lies on the central path: the curve of optima for positive barrier parameters. The
+    method `SolverOptions.on_central_path` chooses Ipopt's settings according to this distance.
     `NONE`: the start practically coincides with the end point. `SHORT`: the start is near the end
     point. `FAR`: the start is far from the end point.
     """
@@ -250,7 +251,7 @@ class SolverOptions:
     def for_other_limits(self) -> SolverOptions:
         """Return the settings for a warm start from the solution of a problem with other limits.
 
-        A limit is a bound of a variable or constraint. The start is the solution of the earlier
+        A limit is a bound of a variable or constraint. The start is the solution of an earlier
         problem, and violates limits of the new problem. With these settings, Ipopt moves the start
         well inside the new limits, and begins with a larger barrier parameter than in other warm
         starts. The solve then takes fewer iterations to leave the limits that were active in the

@@ -29,7 +29,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class WithoutCalls:
-    """Column of CasADi expressions in which symbols stand for the results of table calls.
+    """Column of CasADi expressions in which symbols replace the calls of interpolation tables.
+
+    With symbols in place of the calls, `casadi.cse` can merge equal terms of the expressions and of
+    their derivatives, without writing out the data of the tables.
 
     Attributes
     ----------
@@ -46,7 +49,7 @@ class WithoutCalls:
 
     @classmethod
     def of(cls, rows: Any, inputs: Sequence[Any]) -> Self:
-        """Replace each call of a table in a column of expressions by symbols.
+        """Replace each call of an interpolation table in a column of expressions by symbols.
 
         Parameters
         ----------
@@ -91,7 +94,7 @@ class WithoutCalls:
         return cls(rows=found, calls=tuple(calls))
 
     def merged(self, column: Any) -> Any:
-        """Merge equal terms of a column of expressions, then insert the calls of tables.
+        """Merge equal terms of a column of expressions, then insert calls of interpolation tables.
 
         Parameters
         ----------

@@ -449,8 +449,8 @@ class JacobianScatter:
         ----------
         sources : ndarray, shape (n_sources,)
             The values that CasADi returned for the first derivatives: those of path equations and
-            integrands, then those of conditions (constraints at declared times) and objective, then
-            a 1.
+            integrands, then those of conditions (constraints at declared times) and objective. The
+            last entry is a constant 1, which only the Jacobian of the constraints uses.
         slopes : ndarray, shape (n_integrals,)
             Derivatives of the objective with respect to the integrals that enter it directly. No
             static variable (variable without time) stands for such an integral.

@@ -146,9 +146,10 @@ class Data:
 class Transcription:
     """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    The order of the constraints ("rows") is: path equations point by point, then conditions
-    (constraints at declared times, the members of the continuous set), then the constraints that
-    make static variables (variables without time) equal to integrals.
+    The order of the constraints ("rows") is: path equations (equalities and inequalities over time)
+    point by point, then conditions (constraints at declared times, the members of the continuous
+    set), then the constraints that make static variables (variables without time) equal to
+    integrals.
 
     The method `with_data` returns a program for other parameter values. This program shares all
     parts that do not depend on the parameter values, such as sparsity patterns.

@@ -1,9 +1,11 @@
-"""Declared times of a horizon, some of which may be free, and the phases between them.
+"""Declared times of a horizon, the free times among them, and the phases between free times.
 
 A declared time is a member of the model's continuous set. The model can state conditions at
-declared times. A declared time is free if a static variable (a variable without time) gives its
-physical time. The free times inside the horizon divide it into phases. Within a phase, physical
-time is linear in the fraction of the horizon.
+declared times. Usually a declared time is a physical time. A declared time is free if a static
+variable (a variable without time) gives its physical time; the solve then determines this time. The
+free times inside the horizon divide it into phases. The fraction of the horizon is 0 at the first
+and 1 at the last declared time. Within a phase, physical time is a linear function of this
+fraction.
 """
 
 from __future__ import annotations
@@ -43,7 +45,8 @@ class PhaseTimes:
     """Phases of a horizon: the declared times that bound them, and physical time in CasADi symbols.
 
     A declared time is a member of the continuous set. It is free if a static variable (a variable
-    without time) gives its physical time. The free times inside the horizon divide it into phases.
+    without time) gives its physical time. The free times inside the horizon divide the horizon into
+    phases.
 
     Attributes
     ----------
@@ -138,16 +141,18 @@ class PhaseTimes:
     def span_at(self, time: float) -> Any:
         """Return d (physical time) / d (fraction of the horizon) just before a declared time.
 
-        A declared time is a member of the continuous set. The result is a CasADi expression of the
-        free times (times that the solve determines) and of parameters.
+        `time` is the declared time, a member of the continuous set. The derivative may jump there
+        if the physical time of `time` is free (determined by the solve). The result is a CasADi
+        expression of the free times and of parameters.
         """
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
         """Return the physical time that corresponds to a declared time, as a CasADi expression.
 
-        A declared time is a member of the continuous set. The expression contains the free times,
-        which are variables that the solve determines, and parameters.
+        `time` is the declared time, a member of the continuous set. The physical time may differ
+        from `time`, because the solve determines some physical times (the free times). The
+        expression contains parameters and the variables that stand for the free times.
         """
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
@@ -169,12 +174,12 @@ class PhaseTimes:
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
-        """Return the constraints that keep the times that bound the phases in rising order.
+        """Return constraints that give every phase of the horizon a positive duration.
 
         The free times (times that the solve determines) divide the horizon into phases. There is
-        one constraint per phase, as a pair of a name and a CasADi expression that must not be
-        negative. The expression is the duration of the phase minus a small fraction of the
-        duration of the horizon. The list is empty for a single phase.
+        one constraint per phase: a pair of its name and a CasADi expression that must not be
+        negative. The expression is the physical duration of the phase minus 1e-6 times the duration
+        of the horizon. The list is empty for a single phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
@@ -206,7 +211,8 @@ def free_times(
         Static variable for the physical end of the horizon, in a model with a single horizon.
     times : mapping, optional
         In a model with a single horizon: declared time -> static variable for its physical time. In
-        a model with several horizons: name of the continuous set -> mapping of this kind.
+        a model with several horizons: name of a continuous set -> mapping from declared times of
+        this set to static variables.
 
     Returns
     -------

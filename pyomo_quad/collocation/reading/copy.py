@@ -1,4 +1,7 @@
-"""Working copy of a user's model, with an additional time at which the equations are read."""
+"""Clone of a user's model with one more time in each continuous set, to read the equations there.
+
+The members of variables and constraints at this time serve as templates for all times.
+"""
 
 from __future__ import annotations
 
@@ -52,14 +55,16 @@ class WorkingCopy:
         The clone.
     time : ContinuousSet or None
         Continuous set of the horizon that this working copy represents. None for a model without
-        time. In a model with several horizons, one working copy represents their coupling: the
-        constraints and the objective that do not belong to a single horizon. Its time is None, too.
+        time. In a model with several horizons, an additional working copy represents their
+        coupling: the constraints and the objective that do not belong to a single horizon. The
+        attribute `time` of this copy is None, too.
     template_time : float
         The added time.
     declared_times : tuple of float
         The times that the user declared, in rising order.
     others : tuple of ContinuousSet
-        Continuous sets of the other horizons of the model, whose declarations are read separately.
+        Continuous sets of the other horizons of the model. The declarations of these horizons are
+        read from their own working copies.
     """
 
     model: Any
@@ -78,8 +83,9 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this working copy.
 
-        A working copy represents one horizon of the model, or the coupling of its horizons. If the
-        model has at most one horizon, every constraint belongs to its only working copy.
+        A working copy represents one horizon of the model, or the coupling of several horizons. If
+        the model has at most one horizon, it has a single working copy, to which every constraint
+        belongs.
 
         Each horizon has its own continuous set. A constraint belongs to a horizon if the continuous
         set of the horizon indexes it. A constraint that no continuous set indexes belongs to a
@@ -208,15 +214,16 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete components indexed by time of which Pyomo cannot make a member at the template time.
+    """Delete components that are indexed by time and have no member at the template time.
 
-    The template time is an interior time that is added to the continuous set, to read the equations
-    over time there. `copy` is the clone of the user's model from which the components are deleted.
-    `time` is the continuous set that indexes the components.
+    The template time is an interior time that is added to a continuous set, to read the equations
+    over time there. For some types of components, such as blocks, Pyomo cannot make a member at an
+    added time. The components of these types are deleted from `copy`, the clone of the user's
+    model. `time` is the continuous set that indexes them.
 
     The deletion does not change the nonlinear program. Most of the deleted types contribute nothing
-    to the program. Active blocks and objectives indexed by time would contribute to it, but a model
-    that has them is refused earlier.
+    to the program. Active blocks and objectives indexed by time would contribute, but models that
+    contain them have been refused before.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -276,7 +283,7 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Make all parameters mutable that are indexed by time and were declared immutable.
+    """Make the immutable parameters that are indexed by time mutable.
 
     In a Pyomo expression, an immutable parameter appears as its number, but a mutable parameter
     appears as a symbol. The symbol can be translated to a function of time; a number cannot.

@@ -147,9 +147,9 @@ class LocalSpline:
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return the pairs (i, j) with i <= j < count: the upper triangle of a Hessian, row after row.
+    """Return the index pairs (i, j), i <= j < count, of the upper triangle of a Hessian.
 
-    `count` is the number of rows of the Hessian.
+    The pairs are in the order of the rows. `count` is the number of rows of the Hessian.
     """
     return list(combinations_with_replacement(range(count), 2))
 

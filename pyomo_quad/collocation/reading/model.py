@@ -61,9 +61,12 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return the equations over time, and the conditions (constraints at declared times).
+        """Return the equations over time, and the conditions.
 
-        Bounds of time derivatives are appended to the equations as inequalities.
+        An equation over time is a constraint that holds at all times, an equality or an inequality.
+        A condition is a constraint at a declared time (a member of the continuous set). The bounds
+        of time derivatives are among the equations over time, as inequalities at the end of the
+        list.
         """
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
@@ -103,7 +106,10 @@ class RelationReader:
     ) -> None:
         """Read the members of a constraint that differ in time only.
 
-        The members become an equation over time, or conditions (constraints at declared times).
+        If the constraint holds between the declared times (members of the continuous set), the
+        members become one equation over time. Members at declared times that this equation does not
+        cover become conditions, which are constraints at single times. If there is no equation over
+        time, all members become conditions.
 
         Parameters
         ----------
@@ -280,10 +286,10 @@ class RelationReader:
         return True
 
     def _is_member_alike(self, a: Any, b: Any) -> bool:
-        """Return whether two members of a component are identical except for their times.
+        """Return whether two variables or parameters are identical except for their times.
 
-        `a` and `b` are Pyomo data objects of variables or parameters. They are alike if they belong
-        to one component and have equal indices without the time (i for ``x[i, t]``).
+        `a` and `b` are Pyomo data objects. The result is true if both are members of the same Pyomo
+        component and have equal indices without the time (i for ``x[i, t]``).
         """
         if a is b:
             return True
@@ -311,9 +317,9 @@ class RelationReader:
         and equation come from one constraint of the model. A condition that equals the equation
         need not be imposed separately.
 
-        If the rule of the constraint branches on time, differences in numbers are ignored. Such a
-        rule may return one number exactly at the declared time, and another number just before or
-        after it. A number that holds at a single instant has no effect.
+        If the rule of the constraint branches on time, condition and equation count as equal even
+        if their numbers differ. Such a rule may return one number exactly at the declared time, and
+        another number just before or after it. The number at the single instant is ignored.
 
         Parameters
         ----------
@@ -358,8 +364,9 @@ class RelationReader:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
         A declared time is a member of the continuous set. The method also adds constraints at
-        declared times to the list `conditions`. There is one for each value to which an algebraic
-        variable is fixed, and one for each bound that was assigned at a single declared time.
+        declared times to the list `conditions`: one for each value to which an algebraic variable
+        or a derivative is fixed, and one for each bound that was assigned at a single declared
+        time.
         """
         fixed = []
         table = self.symbols
@@ -420,10 +427,10 @@ class RelationReader:
                 )
 
     def _fixing_condition(self, data: Any) -> PointCondition:
-        """Return the constraint that makes an algebraic variable equal a given value at one time.
+        """Return the constraint that a variable equals its fixed value at one time.
 
-        The user fixed the variable to the value at this time. `data` is the fixed member of the
-        variable, a Pyomo data object. The value is a parameter in the constraint.
+        `data` is the member of the variable that the user fixed, a Pyomo data object. The fixed
+        value is a parameter in the constraint.
         """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -583,9 +590,10 @@ class ModelReader:
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
         """Return the algebraic variables that the model uses, by name.
 
-        A variable may appear in an equation over time or in an integrand. Its value at a single
-        time may also appear in a condition (a constraint at this time) or the objective. `points`
-        has the symbols of the values at single times.
+        The model uses a variable if the variable appears in an equation over time or in an
+        integrand, or if its value at a single time appears in a condition (a constraint at that
+        time) or in the objective. `points` has the symbols of the values at single times in
+        conditions and objective. The result maps names to variables.
         """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]

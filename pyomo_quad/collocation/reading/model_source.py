@@ -126,9 +126,10 @@ class LiveModel:
     schedules : tuple of Schedule or Phases
         Functions of time whose values are data of the compiled equations. A `Schedule` belongs to a
         rule that branches on time. Its values state which expression the rule returns at a time,
-        and which numbers the expression has. A `Phases` object belongs to a horizon with free
-        times. Its values state which phase of the horizon contains a time. The symbols of all these
-        data are in the attribute `scheduled` of the class `Declarations`.
+        and which numbers the expression has. A `Phases` object belongs to a horizon that free times
+        (times that the solve determines) divide into phases. Its values state which phase contains
+        a time. The CasADi symbols of all these data are in the attribute `scheduled` of the class
+        `Declarations`.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -349,8 +350,8 @@ class LiveModel:
     ) -> None:
         """Write the given sensitivities of constraints or of variables into a Pyomo suffix.
 
-        A sensitivity is the derivative of the objective with respect to a constraint, bound or
-        state.
+        A sensitivity is the derivative of the objective with respect to the constant side of a
+        constraint, to a bound of a variable, or to a state.
 
         Parameters
         ----------
@@ -415,11 +416,12 @@ class LiveModel:
     def _signal_as_interpolant(
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
-        """Return a parameter over time as an `Interpolant`, which can be pickled.
+        """Return a parameter over time as an `Interpolant`: polynomials that can be pickled.
 
-        `slot` is the parameter. `horizon` has the start and the end of the approximation. `asked`
-        are times in rising order, between which jumps are searched. If polynomials cannot
-        approximate the parameter, the interpolant has no pieces.
+        `slot` is the parameter. The polynomials approximate it piece by piece between the two times
+        in `horizon`. `asked` are times in rising order, between which jumps of the parameter are
+        searched. If the approximation is not possible, the result has no polynomials, but a message
+        with the reason.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -435,8 +437,8 @@ def _as_interpolant(
 ) -> Interpolant:
     """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
 
-    The interpolant has no pieces if the function fails, or if too many polynomials are needed. It
-    then contains the reason.
+    If the function fails, or if too many polynomials are needed, the result has no polynomials, but
+    a message with the reason.
 
     Parameters
     ----------
@@ -460,6 +462,9 @@ def _as_interpolant(
 class ModelSnapshot:
     """Values that a model had when its problem was pickled, with the interface of `LiveModel`.
 
+    A `LiveModel` reads the values of parameters and variables from the user's Pyomo model. In a
+    pickled problem, which does not contain the model, a `ModelSnapshot` takes its place.
+
     Attributes
     ----------
     times : tuple of float
@@ -469,14 +474,18 @@ class ModelSnapshot:
     units : dict
         Units by component name.
     parameters : dict
-        Values of parameters without time by name.
+        Name -> value of a parameter without time; None if it had no value.
     variables : dict
-        Values of variables by (name, declared time), None as time for static variables.
-    signals, guesses : dict
-        Parameters over time, and `initialize` rules of variables, by name as functions of time.
+        (Name, declared time) -> value of a variable; None if it had no value. The time is None for
+        a static variable (a variable without time).
+    signals : dict
+        Name -> parameter over time, as a function of time.
+    guesses : dict
+        Name of a variable -> its `initialize` rule, as a function of time.
     schedules : tuple of Interpolant
         For each rule that branches on time: the branch that applies and the numbers in it, as a
-        function of time.
+        function of time. For a horizon that free times (times that the solve determines) divide
+        into phases: the phase that contains a time.
     """
 
     times: tuple[float, ...]

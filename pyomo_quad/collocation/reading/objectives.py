@@ -1,4 +1,7 @@
-"""Reading of a model's objective, and refusal of sums over time in place of integrals."""
+"""Reading of a model's objective; an objective that sums a control over time is refused.
+
+Such a sum is probably meant as an integral, because a control has no meaning at a single time.
+"""
 
 from __future__ import annotations
 

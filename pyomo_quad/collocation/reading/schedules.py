@@ -199,10 +199,11 @@ class Schedule:
         self.slots = (*self._chosen, *(s for slots in self._numbers for s in slots))
 
     def _slot(self, what: str) -> Slot:
-        """Return a new quantity over time, with its CasADi symbol, as data for compiled equations.
+        """Return a new `Slot`: a named quantity over time, with a new CasADi symbol.
 
-        The name of the quantity is the name of the component, followed by `what` in parentheses.
-        `what` says in words what the quantity is, for example a number in the rule's result.
+        The quantity is one of the data over time that the compiled equations read, for example a
+        number in the rule's result. Its name is the name of the component, followed by `what` in
+        parentheses. `what` says in words what the quantity is.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -282,18 +283,22 @@ class Schedule:
             )
 
     def row(self, time: float) -> list[float]:
-        """Return the data at a time that the compiled forms of the rule's result read.
+        """Return the values, at one time, of the data that the compiled forms read.
 
-        First come the factors that select a form: 1 for the form that applies at the time, and 0
-        for the others. The numbers that vary in the forms follow. The order is that of the
-        attribute `slots`. The result comes from a cache if the time was evaluated before.
+        A form is an expression that the rule returns, with numbers as parameters. First come the
+        factors that select a form: 1 for the form that applies at the time, and 0 for the others.
+        If there are several forms, the last has no factor; it applies if all factors are 0. The
+        numbers that vary in the forms follow. The order is that of the attribute `slots`. The
+        result comes from a cache if the time was evaluated before.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Call the rule at a time, and return the data that the compiled forms read.
+        """Call the rule at a time, and return the data that the compiled equations read.
 
-        The method `row` returns the same data from a cache, and calls this method for new times.
+        The data state which form (expression with numbers as parameters) the rule returns, and the
+        numbers in it. The method `row` describes them. It returns them from a cache, and calls this
+        method for new times.
         """
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
@@ -415,9 +420,10 @@ def _either(holds: Any, first: Any, second: Any) -> Any:
 
 
 def _structure(part: Any, numbers: list[float]) -> Any:
-    """Return a hashable key of a Pyomo expression's structure without its numbers.
+    """Return a hashable key that identifies the structure of a Pyomo expression.
 
-    The numbers are appended to the list `numbers` in the order of their appearance.
+    `part` is the expression. The numbers in it are no part of the key. They are appended to the
+    list `numbers` in the order of their appearance.
     """
     if part is None:
         return None
@@ -432,9 +438,9 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times at which a rule is called to find its forms and jumps.
 
-    The result has 64 times spread over the horizon. It also has times just before and just after
-    each of the given `times`, the declared times (members of the continuous set). All results lie
-    inside the horizon.
+    `times` are the declared times (members of the continuous set) in rising order. The result has
+    64 times spread over the horizon, and one time just before and just after each declared time.
+    All of them lie inside the horizon. They are in rising order.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
@@ -452,7 +458,7 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
         Time -> `Reading`: numbers, and a key. A change of the key is a jump. A change of a number
         is a jump if halving the interval around it does not reduce the change.
     times : sequence of float
-        Times in rising order between which jumps are searched by bisection.
+        Times in rising order. Jumps are searched by bisection between neighbouring times.
     """
     for start, end in pairwise(times):
         resolution = _RESOLUTION * max(abs(times[0]), abs(times[-1]), times[-1] - times[0])
@@ -512,11 +518,13 @@ def _steps(
 
 
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
-    """Return a fraction of the horizon, moved to just before a jump with which it coincides.
+    """Return the fraction of the horizon at which parameters are evaluated for a given fraction.
 
-    At a jump on the boundary between two elements, the value before the jump applies, because the
-    boundary belongs to the element that ends there. `jumps_at` are the fractions at which
-    parameters jump, in rising order. The fractions 0 and 1 are moved slightly into the horizon.
+    The result differs from `fraction` only in two cases. If a parameter jumps at `fraction`, the
+    result is just before the jump: on the boundary between two elements, the value before the jump
+    applies, because the boundary belongs to the element that ends there. If `fraction` is 0 or 1,
+    the result is slightly inside the horizon. `jumps_at` are the fractions at which parameters
+    jump, in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)

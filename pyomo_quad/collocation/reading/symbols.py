@@ -282,7 +282,7 @@ class Address:
 
     @property
     def name(self) -> str:
-        """Name of the function of time to which the member belongs, as ``rotors.omega[1]``."""
+        """Name of the component with the index without time, such as ``rotors.omega[1]``."""
         return indexed_name(self.component, self.index)
 
 
@@ -382,8 +382,9 @@ class AddressBook:
 class Slot:
     """Scalar variable or parameter of the model, with its CasADi symbol.
 
-    It is one member of a Pyomo component for all times, for example ``rotors.omega[1]``, or a
-    member of a component without time.
+    In a component over time, a `Slot` stands for all members that differ in time only. For example,
+    the `Slot` with the name ``rotors.omega[1]`` stands for ``rotors.omega[1, t]`` at all times t.
+    In a component without time, a `Slot` stands for a single member.
 
     Attributes
     ----------

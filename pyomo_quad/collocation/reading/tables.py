@@ -174,9 +174,10 @@ def _extended_linearly(
 class Table(PythonCallbackFunction):
     """Interpolation table: values on a grid as a smooth function, for use in a Pyomo model.
 
-    With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. This
-    is the cubic not-a-knot spline through the values, which is twice continuously differentiable.
-    Two arrays of points and a matrix of values make a function of two arguments, and so on.
+    With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. The
+    function is the cubic not-a-knot spline through the values, which is twice continuously
+    differentiable. Two arrays of points and a matrix of values make a function of two arguments;
+    more arguments are possible in the same way.
 
     Parameters
     ----------
@@ -259,6 +260,9 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
 @dataclass(frozen=True, kw_only=True)
 class TableUse:
     """Argument of an interpolation table in an equation, and the range of the table.
+
+    The range is compared with the values of the argument in a solution, because the table is
+    extrapolated outside the range.
 
     Attributes
     ----------
@@ -371,11 +375,11 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return the interval of an argument in which a function is tested with numbers.
+    """Return the interval from which test values for an argument of a function are drawn.
 
-    `argument` is the argument of the function, a Pyomo expression. The result is the interval
-    between its bounds, or (0.1, 0.9) if a bound is missing. In this interval, the values of the
-    function are compared with its CasADi expression.
+    `argument` is the argument, a Pyomo expression. The result is (lower bound, upper bound) of the
+    expression, or (0.1, 0.9) if a bound is missing. The test compares values of the function with
+    values of its CasADi expression.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))

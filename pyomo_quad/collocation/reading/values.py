@@ -245,10 +245,11 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
-        They are the declared times (members of the continuous set), and the times at which
-        bisection finds a jump of a parameter or of a rule's result. Parameters given as `Steps`
-        (piecewise constant) are not searched. `overrides` has the parameter values that the caller
-        gives. `horizon` is start and end of the horizon, by default the ends of the continuous set.
+        The fractions belong to the interior declared times (members of the continuous set), and to
+        the times at which bisection finds a jump of a parameter or of a rule's result. They are in
+        rising order. Jumps of parameters given as `Steps` (piecewise constant functions) are not
+        searched. `overrides` has the parameter values that the caller gives. `horizon` is start and
+        end of the horizon, by default the ends of the continuous set.
         """
         if not self._declared.has_signals:
             return ()

@@ -333,7 +333,9 @@ class TemplateWriter:
     ) -> PathEquation | None:
         """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
-        The result is None if the constraint's rule skips every interior time.
+        The result is None if the constraint is imposed at none of the times between the members of
+        the continuous set: its rule skips these times, or it has no rule and no member at the
+        template time.
 
         Parameters
         ----------

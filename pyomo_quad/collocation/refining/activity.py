@@ -36,12 +36,12 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 
 
 def switch_elements(solution: Solution) -> frozenset[int]:
-    """Return the indices of elements at which only limits on algebraic variables change.
+    """Return the indices of elements in or beside which a limit on controls switches.
 
-    A limit changes at an element if the limit becomes active or inactive in the element or beside
-    it. An element is left out if a limit on a state changes there, because the costate of the state
-    may then jump. Limits on states include all limits that contain a state or its rate (time
-    derivative).
+    A limit switches where it becomes active or inactive. A limit on controls contains algebraic
+    variables only; all other limits contain a state or a rate (time derivative of a state). An
+    element is left out if a limit of the other kind switches in or beside it, because a costate may
+    then jump. Switches of limits at element boundaries that the problem requires are not counted.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
@@ -114,15 +114,15 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 
 
 def kinks(solution: Solution) -> FloatArray:
-    """Return the times at which an algebraic variable reaches or leaves a limit with a kink.
+    """Return the times of kinks, at which an algebraic variable reaches or leaves a limit.
 
     At a kink the variable is continuous and its slope jumps. The kink lies between two neighbouring
     collocation points, one where the limit is active and one where it is inactive. The slack
     (distance to the limit) is extrapolated from three points at which the limit is inactive. The
     kink is at the zero of the extrapolated slack.
 
-    A jump of the variable is no kink, and is left out. It is recognised by a large slack at the
-    inactive point, or because the extrapolated slack has no zero between the two points.
+    A jump of the variable at a limit is no kink, and is left out. A jump is assumed if the slack at
+    the inactive point is large, or if the extrapolated slack has no zero between the two points.
 
     Returns
     -------
@@ -148,6 +148,7 @@ def kinks(solution: Solution) -> FloatArray:
 def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a positive function reaches zero, by inverse extrapolation.
 
+    A polynomial gives the time as a function of the value, and is evaluated at the value 0.
     `values` are samples of the function at the times `times`, all on one side of the zero. The
     first sample is nearest to the zero, and each further sample is farther away. The result is NaN
     if the values do not rise from sample to sample.

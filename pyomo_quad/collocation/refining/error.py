@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
-    """Return the effect on the final states of the state errors that arise in each element.
+    """Return how much the state errors of each element change the final states.
 
-    The controls are taken as functions of time alone (open loop). No later control corrects an
-    error.
+    The controls are functions of time alone (open loop), so that no control corrects an error. The
+    linearised equations propagate the error from the end of the element to the end of the horizon.
 
     Parameters
     ----------
@@ -47,8 +47,9 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements, n_states)
-        Changes of the final states to first order, relative to max(1, abs(final state)). All
-        entries are zero if the equations do not determine the time derivative of every state.
+        Magnitudes of the changes of the final states to first order, relative to max(1, abs(final
+        state)). All entries are zero if the equations do not determine the time derivative of every
+        state.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -320,11 +321,11 @@ _LEAST_UNIT = 1e-4
 
 
 def _unit(solution: Solution) -> float:
-    """Return the magnitude of the objective to which errors are relative, in the objective's unit.
+    """Return the magnitude by which errors of the objective are divided to make them relative.
 
-    Some errors of the objective are divided by this magnitude. It is the largest of three numbers:
-    abs(objective), min(1, s), and 1e-4 s. Here s is the inverse of the objective's factor in the
-    scaled nonlinear program. The last two numbers matter for an objective near zero.
+    The magnitude has the unit of the objective. It is the largest of three numbers: abs(objective),
+    min(1, s), and 1e-4 s. Here s is the inverse of the factor by which the nonlinear program scales
+    the objective. The last two numbers matter for an objective near zero.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -333,8 +334,9 @@ def _unit(solution: Solution) -> float:
 def _gap(solution: Solution) -> float:
     """Return the complementarity gap that Ipopt's barrier leaves, relative to the objective.
 
-    The gap is the sum, over all limits, of multiplier times distance to the limit. For a convex
-    problem, the objective exceeds its optimum by at most the gap.
+    The gap is the sum, over all limits, of multiplier times distance to the limit. The objective of
+    a convex problem exceeds its optimum by at most the gap. The gap is divided by the magnitude of
+    the objective, or by a small reference magnitude if the objective is near zero.
     """
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
@@ -527,7 +529,7 @@ def _clipped(
 
 
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
-    """Return the errors of the states in each element, as integrals of the errors of their rates.
+    """Return the errors of the states in each element, integrated from the errors of the rates.
 
     Rates are the derivatives of the states with respect to the fraction of the horizon. The
     integration begins with an error of zero at the left end of each element.
@@ -710,11 +712,11 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Assign the error of the final states to the elements, for the choice of the next mesh.
+    """Return the part of the error of the final states that is assigned to each element.
 
-    Only the final state with the largest error counts. The element that contributes most to this
-    error is assigned the whole error. Any other element is assigned a smaller part, in proportion
-    to its contribution.
+    The mesh refinement refines the elements with large parts. Only the final state with the largest
+    relative error counts. The element that contributes most to this error is assigned the whole
+    error. Any other element is assigned a smaller part, in proportion to its contribution.
 
     Parameters
     ----------
@@ -746,7 +748,7 @@ def _breaches(
 
     - An equation is measured by its relative residual, times `weight`.
     - A limit on controls alone is measured by the change of the states within the element that the
-      violation causes.
+      violation causes. The change is estimated as the violation times the width of the element.
     - Any other limit is measured by the effect of the violation on the objective. The effect is
       estimated from the multipliers of the bounds on states.
 

@@ -3,10 +3,11 @@
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
 A solution of the nonlinear program is a local minimum: a small change of a control does not reduce
-the objective. If the Hamiltonian has two local minima, a large change of the control may reduce it.
-The optimal control switches from one minimum to the other at a certain time. On the first mesh the
-solve may place this switch at a wrong time. The switch then stays there on all finer meshes. Mesh
-refinement does not reveal the error, but Pontryagin's principle does.
+the objective. If the Hamiltonian has two local minima with respect to the control, a large change
+of the control may reduce the objective. The optimal control switches from one minimum to the other
+at a certain time. On the first mesh the solve may place this switch at a wrong time. The switch
+then stays there on all finer meshes. Mesh refinement does not reveal the error, but Pontryagin's
+principle does.
 
 On a singular arc the objective is flat about its optimum: it hardly depends on the states. The
 states may then be inaccurate although the error of the objective is small. The inaccuracy of the
@@ -108,9 +109,10 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    The trial values at a point are first a grid between the bounds of the control. The minima of
-    parabolas through three neighbouring values of the grid follow. `improved_controls` looks for
-    the least Hamiltonian among the trial values.
+    The first trial values are a grid between the bounds of the control. Further trial values follow
+    where the Hamiltonian at a value of the grid is not larger than at both neighbouring values: the
+    minimum of the parabola through these three values of the Hamiltonian. The function
+    `improved_controls` looks for the least Hamiltonian among all trial values.
 
     Parameters
     ----------
@@ -204,10 +206,11 @@ def _free_controls(
 
 
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
-    """Return the Hamiltonian at the collocation points, to compare different controls at a point.
+    """Return the Hamiltonian at the collocation points, up to a constant at each point.
 
-    A constant is omitted at each point, because it does not depend on the controls. The Hamiltonian
-    is infinite at points at which a path inequality is violated. The result has shape (n_points,).
+    The constant is a term that does not depend on the controls. The result therefore serves to
+    compare different controls at a point. It has shape (n_points,), and is infinite at points at
+    which a path inequality is violated or the Hamiltonian is undefined.
 
     `variables` holds rates (derivatives of the states), states, algebraic variables and static
     variables (without time), one row per collocation point. `solution` gives the costates.
@@ -263,7 +266,7 @@ def state_error(
     these changes are then inaccurate, because they depend on the mesh. In this case three more
     numbers count:
 
-    - The violation of limits.
+    - The largest relative violation of a limit on states or rates between the collocation points.
     - The possible error of the states because a control jumps at a wrong time. It is computed for
       elements with a single collocation point, which the refinement cuts around the jumps of
       controls: the true time of the jump may be anywhere in the element.

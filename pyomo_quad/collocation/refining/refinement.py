@@ -174,7 +174,7 @@ class _Refinement(Generic[S]):
         self.dampings = (None,) * len(self.meshes)
 
     def with_next_meshes(self) -> S | None:
-        """Solve on the next meshes, and choose the meshes after them.
+        """Solve on the next meshes, and choose the meshes for the solve after that.
 
         The result is the final solution if the refinement ends, and None if it continues.
         """
@@ -231,7 +231,7 @@ class _Refinement(Generic[S]):
         tuple of ErrorEstimate
             One for each horizon.
         bool
-            Whether the solve failed.
+            Whether the solve failed. An interrupted solve has neither converged nor failed.
         """
         change = self._expected_change()
         search = _MeshSolve(self.solve, self.meshes, self.start, self.dampings, change, self.gap)
@@ -348,18 +348,18 @@ class _Refinement(Generic[S]):
         return tuple(damping_of(part, weight, **how) for part in parts)
 
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
-        """Return a solution and its estimated errors, with a smaller complementarity gap if needed.
+        """Estimate the errors of a solution, and reduce its complementarity gap if necessary.
 
         The gap is the error that Ipopt's barrier leaves in the objective. `solved` is a solution on
         the present meshes. If the barrier, not the mesh, limits the accuracy of `solved`, the solve
-        is continued until the gap is smaller, and the new solution is returned. Otherwise `solved`
-        itself is returned.
+        is continued until the gap is smaller. The result is then the new solution with its
+        estimated errors. Otherwise the result is `solved` with its estimated errors.
 
         The errors in the result have one item for each horizon.
 
-        A solve with damping may stop at a large gap on purpose; later solves on finer meshes reduce
-        the gap. Such a gap is reduced on the present mesh only if all other errors meet the
-        tolerance.
+        A solve with damping (penalty on changes of the controls since the previous mesh) may stop
+        at a large gap on purpose; later solves on finer meshes reduce the gap. Such a gap is
+        reduced on the present mesh only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -406,8 +406,8 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        The refinement may end under two conditions. First, all errors meet the tolerance. Second,
-        the objective has changed by at most half the tolerance since the previous mesh.
+        The refinement may end if two conditions hold. First, all errors meet the tolerance. Second,
+        the relative change of the objective since the previous mesh is at most half the tolerance.
 
         The second condition applies only if limits become active or inactive in or beside elements,
         or if controls are damped. Damping is a penalty on the distance of controls from the
@@ -746,14 +746,14 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    Without a restart, the result is the last solution. The refinement is restarted if Pontryagin's
-    principle shows that other controls improve the objective. After a restart, the result is the
-    solution from before the restart.
+    The refinement is restarted from other controls if Pontryagin's principle shows that they
+    improve the objective. Without a restart, the result is the last solution. After a restart, the
+    result is the solution from before the restart, which met the tolerance.
 
-    After a restart, the status and message of the result are changed to state that better controls
-    exist. They are left unchanged only if solutions were found after the restart, and none of these
-    solutions is better than the solution from before the restart. A solution is better if its
-    relative improvement of the objective, minus its estimated error, exceeds the tolerance.
+    After a restart, the status and message of the result are usually changed to state that better
+    controls exist. They are unchanged if solutions were found after the restart, but none of them
+    is better than the solution from before the restart. A solution is better if its relative
+    improvement of the objective, minus its estimated error, exceeds the tolerance.
 
     Parameters
     ----------
@@ -772,7 +772,7 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the solution from before a restart, if the refinement has to stop after the restart.
+    """Return the result of a refinement that has to stop after a restart.
 
     A restart begins the refinement again from better controls. The refinement has to stop if, for
     example, the allowed number of meshes is used up before the tolerance is met again. The result

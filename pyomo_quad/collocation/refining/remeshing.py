@@ -36,9 +36,9 @@ class RefinementOptions:
     min_degree, max_degree : int
         Lowest degree to which an element's degree is lowered, and highest to which it is raised.
     smooth_decay : float
-        Least decrease of the solution's Legendre coefficients, in decades per degree, with which
-        the solution counts as smooth in an element. The degree of the element is then raised;
-        otherwise the element is split.
+        Least decay rate of the solution's Legendre coefficients in an element, in decades per
+        degree, at which the solution counts as smooth there. If the solution is smooth, the degree
+        of the element is raised; otherwise the element is split.
     smallest_width : float
         Fraction of the horizon below which no element is split.
     max_points : int
@@ -53,10 +53,10 @@ class RefinementOptions:
         `damping` times the tolerance of the refinement times the objective.
     limits_move : bool
         Whether the caller expects many junctions: times at which a limit becomes active or
-        inactive. Most of many junctions hardly affect the objective. Elements are then split at
-        junctions only after all errors meet the tolerance of the refinement. Each solve then
-        reduces the complementarity gap (the error that Ipopt's barrier leaves in the objective)
-        only to a fraction of the error on the previous mesh.
+        inactive. If there are many junctions, most of them hardly affect the objective. If the
+        option is true, elements are split at junctions only after all errors meet the tolerance of
+        the refinement, and each solve reduces the complementarity gap (the error that Ipopt's
+        barrier leaves in the objective) only to a fraction of the error on the previous mesh.
     on_mesh : callable, optional
         Called after each finished mesh with the solution, which includes error estimate and
         history. If the function returns False, the refinement is interrupted. The result is then
@@ -251,10 +251,10 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an element of the next mesh that is not refined, with its degree lowered if possible.
+    """Return an element that the next mesh keeps, with its degree lowered if possible.
 
-    The degree is lowered only if the element's error is far below the tolerance. It is lowered as
-    long as the highest Legendre coefficients of the states are negligible.
+    The degree is lowered only if the element's error is far below the tolerance. It is lowered step
+    by step, as long as the highest Legendre coefficients of the states are negligible.
 
     Parameters
     ----------
@@ -474,9 +474,9 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the states' Legendre coefficients in an element.
 
     In the element with index `e`, each state is a polynomial. Its Legendre coefficients are divided
-    by the magnitude of the state over the horizon. Item k of the result, shape (degree + 1,), is
-    the largest magnitude of degree k over all states. The faster the result decreases with k, the
-    smoother is the solution.
+    by the largest magnitude of the state over the horizon. The result has shape (degree + 1,). Its
+    item k is the largest magnitude of the coefficients of degree k over all states. The faster the
+    result decreases with k, the smoother is the solution.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -494,8 +494,9 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
     The integrands are those of all integrals over time in the problem of `solution`. In the element
     with index `e`, a polynomial interpolates each integrand at the collocation points. The Legendre
     coefficients of the polynomial are divided by the largest magnitude of the integrand in the
-    element. Item k of the result, shape (degree,), is the largest magnitude of degree k over all
-    integrands. The faster the result decreases with k, the smoother are the integrands.
+    element. The result has shape (degree,). Its item k is the largest magnitude of the coefficients
+    of degree k over all integrands. The faster the result decreases with k, the smoother are the
+    integrands.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
@@ -510,9 +511,10 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 def _decay(sizes: FloatArray) -> float:
     """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
-    The decay rate measures how smooth a function is. `sizes` are the magnitudes of the coefficients
-    in order of degree. Two kinds of coefficients are left out: the constant term, which gives no
-    information on smoothness, and coefficients at the level of rounding.
+    The decay rate measures how smooth a function is; it is positive if the coefficients decrease
+    with the degree. `sizes` are the magnitudes of the coefficients in order of degree. Two kinds of
+    coefficients are left out: the constant term, which gives no information on smoothness, and
+    coefficients at the level of rounding. If fewer than two coefficients are left, the result is 2.
     """
     order = np.arange(1, sizes.size)
     kept = sizes[1:] > 1e-14

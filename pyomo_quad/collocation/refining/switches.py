@@ -57,9 +57,9 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements,)
-        Upper bounds, in units of the objective. Zero in elements in which no limit on an algebraic
-        variable becomes active or inactive, and in elements in or beside which no algebraic
-        variable jumps.
+        Upper bounds in the unit of the objective. An entry is zero if, in or beside the element, no
+        algebraic variable jumps, or no limit on algebraic variables alone becomes active or
+        inactive, or any other limit becomes active or inactive.
     """
     mesh, chosen = solution.mesh, switch_elements(solution) & _jumping_elements(solution)
     jumps = np.zeros((2, mesh.elements))
@@ -93,7 +93,9 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which an algebraic variable jumps.
 
     A variable jumps if its largest and smallest values differ by more than a quarter of its range.
-    The values are taken at the points of the element, and at one point on either side.
+    The values are taken at the collocation points of the element, and at one point on either side.
+    The range is the difference of the variable's upper and lower limits. If a limit is missing, the
+    range is the difference of its largest and smallest values over the horizon.
     """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
