@@ -508,10 +508,10 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        A plan is accepted if the flight without gusts ends near the goal, and if flights in
-        turbulence are predicted to miss the goal or a waypoint with at most a certain probability.
-        This probability is a fixed fraction of the allowed risk. It is larger if gusts carry even
-        hovering vehicles off the goal more often.
+        A plan is accepted if two conditions hold. The flight without gusts ends near the goal. The
+        predicted probability that a flight in turbulence misses the goal or a waypoint is at most
+        the larger of two numbers: a fixed fraction of the allowed risk, and a fixed multiple of the
+        fraction of hovering vehicles that gusts carry off the goal.
 
         If `tried` is accepted, it is returned unchanged. Otherwise plans are solved that leave a
         part of thrust and tilt as a reserve for the controller. A bisection searches for the
@@ -582,9 +582,10 @@ class MarginSearch:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
         Margins are amounts by which limits are tightened for the plan. The controller needs the
-        reserve to follow the plan in gusts. Each margin is the fraction ``share`` of the largest
-        margin with which the mission may be feasible. If the duration is free, its lower limit is
-        raised too. The result maps each scenario field to its margin.
+        reserve to follow the plan in gusts. Each margin is the fraction ``share`` of the value of
+        `greatest_margin`, above which the vehicle could not even hover. The result maps each
+        scenario field to its margin. If the duration is free, the result also has a margin that
+        raises the lower limit of the duration, because a slower flight needs less thrust and tilt.
         """
         mission = self._scenario.mission
         part = min(share, _LARGEST_OF_FREE) if mission.is_free else share

@@ -264,10 +264,12 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 
 
 def greatest_margin(scenario: Scenario, name: str) -> float:
-    """Return the largest margin on a scenario field with which the mission may remain feasible.
+    """Return the largest margin on a scenario field that leaves room for the mission.
 
     `name` is the full name of the field, such as "airspace.floor". A margin is the amount by which
-    the limit in this field is tightened for a plan, in the unit of the field.
+    the limit in this field is tightened for a plan, in the unit of the field. With a larger margin,
+    a place of the mission would break the tightened limit, or the vehicle could hardly hover. Even
+    with a smaller margin, the mission may be infeasible.
     """
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:

@@ -179,7 +179,7 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 
 
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
-    """Return the cheapest orders of the places between start and goal that local search finds.
+    """Return the cheapest orders that local search finds for the places between start and goal.
 
     A local change exchanges two neighbouring blocks of an order, or reverses a block [1]_. An
     exchange keeps the direction of flight within the blocks. Each step of a descent takes the best

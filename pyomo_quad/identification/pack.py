@@ -212,7 +212,11 @@ class Record:
         return np.asarray(current.sum(axis=0) * self.step / 3600.0)
 
     def part(self, chosen: NDArray[np.int64]) -> "Record":
-        """Return a record with some of the flights; `chosen` holds their column numbers, from 0."""
+        """Return a record with only some of the flights of this record.
+
+        Each flight is one column of the record's arrays. `chosen` holds the numbers of the columns
+        to keep, from 0.
+        """
         part = object.__new__(Record)
         part.step, part.reading, part.cells = self.step, self.reading, self.cells
         part.names = [self.names[k] for k in chosen]

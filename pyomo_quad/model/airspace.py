@@ -1,4 +1,4 @@
-"""The airspace: floor, ceiling, fence, edges of terrain and wind data, and keep-out zones.
+"""The airspace: floor, ceiling, fence, borders of terrain and wind data, and keep-out zones.
 
 A keep-out zone is a region that flights must avoid. A zone is the intersection of one or more
 balls. The text after the table says what a ball is.
@@ -83,7 +83,8 @@ _TOUCHING_M = 5e-5
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `airspace`.
 
-    The parameters define floor, ceiling, fence, edges of terrain and wind data, and keep-out zones.
+    The parameters define the floor, the ceiling, the fence, the keep-out zones, and the borders of
+    the areas that the terrain data and the wind data cover.
     Each `Parameter` states name, unit and meaning of a number, such as the height of the floor, and
     how its value follows from a scenario.
     """

@@ -10,9 +10,10 @@ The module declares the limits of eq. (10) of the paper (Yacef et al.), with two
 The scenario's field `limits.reserve` is a fraction of the largest rotor speed and thrust. A plan
 leaves this fraction to the controller. The reserve is declared only if the fraction is not zero.
 
-If the motors have a lag, the rotor acceleration lies between -a and a, with a = (rotor_speed_max -
-speed) / time constant. Here speed is the present rotor speed. This limit is declared only if the
-time constant of the motor is not zero.
+If the time constant of the motors is not zero, the magnitude of the rotor acceleration is limited
+to (rotor_speed_max - speed) / time constant, where speed is the present rotor speed. This is what a
+motor with a first-order lag can do while its rotor gathers speed. The same limit applies while the
+rotor slows down, as a simplification.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt

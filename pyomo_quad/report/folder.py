@@ -272,7 +272,8 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Finish the replacement of an old output folder by a new one.
 
-    The new folder is complete. It has a hidden name that contains "ready", beside the final folder.
+    The new folder is complete. It lies beside the final folder, under a hidden name that contains
+    "ready".
     This function renames the old folder to `aside`, then the new folder to `final`. A run may be
     killed between the two renamings. The next run then calls this function again and finishes the
     replacement. Nothing is done if the hidden folder does not exist, or if it was not made by a run

@@ -4,10 +4,11 @@ Each continuous set of the model is a horizon, for which a nonlinear program is 
 program has the constraints over the set. It also has the constraints on values at single times of
 the set, if no other set is involved. The objective and all other constraints form the coupling.
 
-In the coupling, static variables (variables without time) replace the integrals over the horizons,
-and the values of variables at declared times (members of the continuous sets). A static variable
-that replaces a state shares one unknown with that state. For any other static variable, a
-constraint of the horizon's program makes the variable equal to the replaced value or integral.
+In the coupling, each integral over a horizon is replaced by a static variable (a variable without
+time). So is each value of a variable at a declared time (a member of the continuous set). If the
+replaced value is that of a state, the static variable and the state at that time are the same
+unknown of the joint program. In all other cases, a constraint of the horizon's program makes the
+static variable equal to the replaced value or integral.
 
 An integral that enters only the objective, and linearly, needs no static variable. It moves into
 the objective of the horizon's program.

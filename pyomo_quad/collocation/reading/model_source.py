@@ -149,7 +149,7 @@ class LiveModel:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """Members of the continuous set (declared times), in rising order; empty without a set."""
+        """Members of the continuous set (declared times), in rising order; empty if there is none."""
         return () if self._time is None else tuple(float(t) for t in sorted(self._time))
 
     def has(self, name: str) -> bool:

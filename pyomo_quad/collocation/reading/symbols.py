@@ -253,10 +253,10 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     index : index of the integral, or None
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time. A `TimeSymbol` is a symbol that stands for any time. An `Instant` is a number, the
-        time at which the integrand is wanted. As an index, both equal the template time (the added
-        interior time at which equations are read). Variables in the integrand are therefore always
-        the members at the template time.
+        The time. A `TimeSymbol` is a symbol that stands for any time. An `Instant` is a number. The
+        symbol or number appears in the result wherever the integrand contains the time itself.
+        The variables in the result are always the members at the template time, an interior time
+        that was added to the continuous set, because both objects are equal to it as an index.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001

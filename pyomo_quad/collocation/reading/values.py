@@ -205,10 +205,11 @@ class ModelValues:
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
         """Return the time-dependent parameters as a function of the fraction of the horizon.
 
-        The function returns a list of numbers, in the order that the compiled equations expect: the
-        values of the parameters over time, then the values of the symbols in
-        `Declarations.scheduled`. Such a symbol stands, for example, for a number in the expression
-        of a rule that branches on time.
+        The function returns a list of numbers, in the order that the compiled equations expect:
+        first the values of the time-dependent parameters, then the values of the symbols in
+        `Declarations.scheduled`. These symbols stand for numbers that change with time but are no
+        parameters, such as a coefficient that a rule sets to 1 before a given time and to 2 after
+        it.
 
         `instance` holds the horizon, and the parameter values that the caller gives.
 

@@ -181,7 +181,7 @@ def damping_of(
     and enters the problem nearly linearly at one or more collocation points. It enters nearly
     linearly where the second derivative of the Lagrangian with respect to the control is small. An
     example is a cost with a smoothed corner: it has curvature at the corner, and is linear beside
-    it.
+    it. The result can also hold a complementarity gap at which Ipopt is to stop.
 
     Parameters
     ----------
@@ -191,8 +191,9 @@ def damping_of(
         Penalty on a control that differs by its whole range from the smoothed control, as a
         fraction of the objective.
     gap : float, optional
-        Complementarity gap that the solve on the next mesh leaves, as a fraction of the objective.
-        The gap is the sum over all limits of multiplier times distance to the limit.
+        Complementarity gap at which Ipopt is to stop on the next mesh, as a fraction of the
+        objective; zero for Ipopt's usual end. The gap is the sum over all limits of multiplier
+        times distance to the limit.
     is_still : bool, optional
         Whether the objective hardly changes from mesh to mesh any more. The smoothed controls are
         then polynomials in each element, instead of straight lines between means over the elements.
@@ -200,7 +201,7 @@ def damping_of(
     Returns
     -------
     Damping or None
-        None if no control is to be damped and no gap is requested.
+        None if no control is to be damped and `gap` is zero.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower

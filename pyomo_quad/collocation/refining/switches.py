@@ -1,4 +1,4 @@
-"""Possible loss in the objective if a control switches at a wrong time within an element."""
+"""Possible loss in the objective if a control switches at another time than in the optimum."""
 
 from __future__ import annotations
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+from pyomo_quad.flight.routes import cruise_at
 from pyomo_quad.report.ensemble import _beside
 from pyomo_quad.report.gallery import drawings_of_run
 from pyomo_quad.report.tables import run_summary
@@ -86,29 +87,56 @@ def test_a_saving_compares_flights_of_one_wind():
     assert saving.both_succeeded == 1
 
 
-def test_an_autopilot_waits_until_it_has_arrived():
-    mission = flights.scenario("paper_calm", *HOP)
-    cruise = fly_cruise_often(
-        mission,
-        CruiseSettings(speed=2.0, acceleration=3.0, jerk=4.0),
-        planner=flights.PLANNER,
-        flights=4,
-        seed=0,
-    )
-    assert 2 * cruise.succeeded.count >= 4
+def duration_of_cruise(*overrides):
+    told = flights.scenario("paper_calm", *HOP, *overrides)
+    settings = CruiseSettings(speed=2.0, acceleration=3.0, jerk=4.0)
+    return fly_cruise_often(told, settings, planner=flights.PLANNER, flights=4, seed=0)
+
+
+def test_an_autopilot_waits_until_half_of_its_flights_have_arrived():
+    cruise = duration_of_cruise()
+    assert cruise.arrived.count >= 2
     assert cruise.name == "adaptive/cruise 2 m/s"
+
+
+def test_a_limit_broken_on_the_way_does_not_make_an_autopilot_wait_longer():
+    free, slow = duration_of_cruise(), duration_of_cruise("limits.speed_max=0.3")
+    assert slow.succeeded.count == 0 < slow.arrived.count
+    assert slow.scenario.mission.duration == free.scenario.mission.duration
+
+
+@pytest.mark.parametrize(
+    ("arrive", "waited"), [((0.0, 4), 0.0), ((0.62, 4), 0.62), ((2.5, 1), 2.5)]
+)
+def test_an_autopilot_waits_for_the_shortest_time_with_which_half_or_most_arrive(
+    monkeypatch, arrive, waited
+):
+    needed, most = arrive
+    told = flights.scenario("paper_calm", *HOP)
+    settings = CruiseSettings(speed=2.0, acceleration=3.0, jerk=4.0)
+    shortest = cruise_at(told.cruising(settings)).mission.duration
+
+    def flown(_name, scenario, _path, **_):
+        wait = scenario.mission.duration - shortest
+        count = most if wait >= needed - 1e-9 else 0
+        return SimpleNamespace(arrived=Share(count, 4), waited=wait)
+
+    monkeypatch.setattr(ensemble, "_flown", flown)
+    found = fly_cruise_often(told, settings, planner=None, flights=4, seed=0)
+    assert waited - 1e-9 <= found.waited <= waited + 0.1
 
 
 def test_the_words_of_many_flights_give_share_interval_limit_and_saving():
     flown = SimpleNamespace(succeeded=Share(98, 100), broken={"floor": Share(2, 100)})
-    rival = SimpleNamespace(succeeded=Share(90, 100))
+    told = SimpleNamespace(mission=SimpleNamespace(fixed_duration=12.25))
+    rival = SimpleNamespace(succeeded=Share(90, 100), scenario=told)
     saving = SimpleNamespace(rival=rival, percent=(1.0, 4.5, 8.0))
     words = InTurbulence(flown=flown, saving=saving, autopilot="an autopilot").words
     assert "In turbulence, 98 of 100 simulated flights arrive" in words
     assert str(Share(98, 100)) in words
     assert "the limit broken most often: floor" in words
     assert "4.5 % less energy than an autopilot in the same turbulence (median; 1.0" in words
-    assert words.endswith("of whose flights 90.0 % keep every limit.")
+    assert words.endswith("takes 12.25 s, and 90.0 % of them keep every limit.")
 
 
 def test_a_margin_is_drawn_at_its_distance_beside_the_path():
