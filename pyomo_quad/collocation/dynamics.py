@@ -453,6 +453,37 @@ class Dynamics:
         unknowns, ((density, span),) = self._solve(t, x, u)
         return unknowns[0, : x.size] / span, float(density / span)
 
+    @cached_property
+    def _slopes(self) -> Any:
+        own = self._right_hand_side
+        inputs = own.name_in()[:2]
+        jacobians = [f"jac:{own.name_out(0)}:{name}" for name in inputs]
+        return own.factory("slopes", own.name_in(), jacobians)
+
+    def slopes(self, t: float, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the Jacobians of the right-hand side dx/dt at a time.
+
+        Parameters
+        ----------
+        t : float
+            Physical time.
+        x : ndarray, shape (n_states,)
+            States.
+        u : ndarray, shape (n_controls,)
+            Controls.
+
+        Returns
+        -------
+        ndarray, shape (n_states, n_states)
+            Derivatives with respect to the states.
+        ndarray, shape (n_states, n_controls)
+            Derivatives with respect to the controls.
+        """
+        _, ((_, span),) = self._solve(t, x, u)
+        found = self._slopes(x, u, self._statics, self._row(t))
+        by_state, by_control = (np.asarray(one.full())[: x.size] / span for one in found)
+        return by_state, by_control
+
     def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
         """Return the objective's integrand per unit of physical time.
 

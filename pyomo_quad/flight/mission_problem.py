@@ -381,7 +381,8 @@ class MissionProblem:
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
         result if the user or the time limit stops the solve. The attribute `search`, the progress
         callback of the solves, stores the usable plan. Without `search` nothing happens. The mesh
-        refinement calls this method after the solve on each mesh.
+        refinement calls this method after the solve on each mesh. No plan is made on the last mesh,
+        whose error is within the tolerance.
         """
         search = self.search
         if search is None:
@@ -399,10 +400,12 @@ class MissionProblem:
             yield from within_limits(self, finished, plan, USABLE, fly)
 
         is_coarse = len(finished.history) == 1 and finished.error_estimate > _COARSE
+        # The final plan is simulated next.
+        is_last = finished.error_estimate <= self.arguments["tolerance"]
         is_patient = self.told.solver.accuracy is Accuracy.PROOF
         search.finished(
             energy_of(self.told, finished),
             flown,
             points=finished.mesh.points,
-            is_early=is_coarse or (is_patient and search.is_early),
+            is_skipped=is_coarse or is_last or (is_patient and search.is_early),
         )

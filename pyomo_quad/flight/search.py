@@ -247,7 +247,7 @@ class Search:
         flown: Callable[[], Iterator[Plan]],
         *,
         points: int,
-        is_early: bool,
+        is_skipped: bool,
     ) -> None:
         """Try to make a usable plan from the solution on a mesh that has just been solved.
 
@@ -267,13 +267,12 @@ class Search:
             plan.
         points : int
             Number of points of the mesh. The cost of a simulation is taken as proportional to it.
-        is_early : bool
-            Whether it is too early in the search to spend time on a usable plan. If True, only the
-            energy is noted, for the progress display.
+        is_skipped : bool
+            If True, no usable plan is made, and only the energy is noted for the progress display.
         """
         self._note(energy_J)
         share = _SHARE_FOR_BETTER if _is_optimised(self.usable) else _SHARE
-        if is_early or self._work_of_flights > share * self.work or self.deadline.is_over:
+        if is_skipped or self._work_of_flights > share * self.work or self.deadline.is_over:
             return
         before, stage = self.usable, self.stage
         self.stage = Stage.USABLE

@@ -26,9 +26,10 @@ from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.model.battery_circuit import CIRCUIT_STATES
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import ArrayLike
+    from scipy.optimize import OptimizeResult
 
     from pyomo_quad.arrays import FloatArray
     from pyomo_quad.collocation import Dynamics
@@ -92,6 +93,31 @@ class HoverState:
     battery_voltage_V: float
     greatest_battery_power_W: float
     charge_rate_Ah_per_s: float
+
+
+def _sharpen(
+    residual: Callable[[FloatArray], FloatArray], found: OptimizeResult, scale: FloatArray
+) -> None:
+    """Reduce the residual of a least-squares solution to rounding errors by Newton steps.
+
+    The steps use the Jacobian of the search's last iteration. Nothing is done if the residual is
+    large, because there is then no solution near.
+
+    Parameters
+    ----------
+    residual : callable
+        Unknowns, shape (n,) -> residual, shape (m,), which is zero at the solution.
+    found : OptimizeResult
+        Result of `scipy.optimize.least_squares`; its solution and residual are changed in place.
+    scale : ndarray, shape (n,)
+        Magnitudes of the unknowns. Of all steps that remove the residual, the one of least norm in
+        units of these magnitudes is taken.
+    """
+    for _ in range(_SHARPENINGS):
+        if not np.max(np.abs(found.fun), initial=0.0) <= _NEARLY:
+            break
+        found.x -= np.linalg.lstsq(found.jac * scale, found.fun, rcond=None)[0] * scale
+        found.fun = residual(found.x)
 
 
 class SteadyFlight:
@@ -172,16 +198,16 @@ class SteadyFlight:
         def unrest(unknown: FloatArray) -> FloatArray:
             return (self._dynamics.rates(t, *flight(unknown)) - wanted)[resting]
 
+        def slopes(unknown: FloatArray) -> FloatArray:
+            by_state, by_control = self._dynamics.slopes(t, *flight(unknown))
+            return np.hstack([by_state[:, free], by_control])[resting]
+
         first = np.concatenate([guess[free], np.zeros(len(self._dynamics.control_names))])
         scale = np.maximum(1.0, np.abs(first))
         if near is not None:
             first = np.concatenate([near.states[free], near.controls])
-        found = least_squares(unrest, first, x_scale=scale)
-        for _ in range(_SHARPENINGS):
-            if not np.max(np.abs(found.fun), initial=0.0) <= _NEARLY:
-                break
-            found.x -= np.linalg.lstsq(found.jac * scale, found.fun, rcond=None)[0] * scale
-            found.fun = unrest(found.x)
+        found = least_squares(unrest, first, slopes, x_scale=scale)
+        _sharpen(unrest, found, scale)
         if not np.max(np.abs(found.fun), initial=0.0) <= _AT_REST:
             raise SolveError(
                 f"steady flight: the model has none at {np.array(velocity).tolist()} m/s; "

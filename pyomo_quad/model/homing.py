@@ -17,11 +17,11 @@ of the return is (1 + margin) i d / g. Two assumptions are made: the wind on the
 wind at the vehicle, and a difference of height counts as distance. The margin covers the errors of
 these two assumptions.
 
-Over terrain, the return has three parts. The vehicle climbs to the height H_k, without coming closer
-to the home. It then flies level to the place above the home, and descends. H_k is the highest
-ground on the straight line to the home, plus the floor of the airspace (the least permitted height
-above the ground). The climb draws a current of its own, for the time that c_k takes at a given rate
-of climb. Level flight and descent count as distance d_k. See docs/theory/homing.md.
+Over terrain, the return has three parts. The vehicle climbs to the height H_k, without coming
+closer to the home. It then flies level to the place above the home, and descends. H_k is the
+highest ground on the straight line to the home, plus the floor of the airspace (the least permitted
+height above the ground). The climb draws a current of its own, for the time that c_k takes at a
+given rate of climb. Level flight and descent count as distance d_k. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable

@@ -149,7 +149,10 @@ class LiveModel:
 
     @property
     def times(self) -> tuple[float, ...]:
-        """Members of the continuous set (declared times), in rising order; empty if there is none."""
+        """Members of the continuous set (declared times), in rising order.
+
+        The result is empty if the model has no continuous set.
+        """
         return () if self._time is None else tuple(float(t) for t in sorted(self._time))
 
     def has(self, name: str) -> bool:

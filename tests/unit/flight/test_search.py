@@ -73,6 +73,6 @@ def test_usable_plans_are_made_after_work_whatever_the_clock_says(monkeypatch, s
     for _ in range(200):
         looking(SimpleNamespace(mesh_points=100))
         if not made:
-            told = {"points": 100, "is_early": looking.is_early}
+            told = {"points": 100, "is_skipped": looking.is_early}
             looking.finished(1.0, lambda: made.append(looking.work) or iter(()), **told)
     assert search._PATIENCE <= made[0] <= search._PATIENCE + 100

@@ -110,6 +110,22 @@ def test_a_search_begun_nearby_ends_at_the_same_trim_after_few_evaluations(monke
     np.testing.assert_allclose(found.states, cold.states, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.parametrize("power", ["motor", "momentum"])
+def test_the_slopes_of_the_rates_are_those_of_differences(power):
+    vehicle = {"use": "dji_matrice_100", "attitude": "euler"}
+    told = scenario(vehicle=vehicle, power={"model": power}, wind={"coupling": "drag"})
+    flight = steady(told)
+    trim, rates = flight.trim([3.0, 1.0, 0.5]), flight.dynamics.rates
+    t, controls = flight.dynamics.start, trim.controls + np.array([3.0, -2.0, 1.0, 5.0])
+    by_state, by_control = flight.dynamics.slopes(t, trim.states, controls)
+    for k, step in enumerate(1e-4 * np.eye(trim.states.size)):
+        ends = (rates(t, trim.states + side * step, controls) for side in (1, -1))
+        assert by_state[:, k] == pytest.approx(np.subtract(*ends) / 2e-4, rel=1e-5, abs=1e-6)
+    for k, step in enumerate(np.eye(controls.size)):
+        ends = (rates(t, trim.states, controls + side * step) for side in (1, -1))
+        assert by_control[:, k] == pytest.approx(np.subtract(*ends) / 2, rel=1e-5, abs=1e-6)
+
+
 def test_the_wind_of_the_dynamics_given_is_leant_against():
     wind = {"use": "constant", "speed": 3.0, "direction": 0.4}
     told = scenario(wind=wind)
