@@ -558,10 +558,10 @@ class Solution(Outcome):
     def warnings(self) -> tuple[str, ...]:
         """Warnings about a converged solution, one line each; empty if it has not converged.
 
-        The attribute `notes` has warnings of the solve, for example that some equations follow from
-        others. If the problem does not depend on time explicitly, its Hamiltonian should be
-        constant. One more warning is added if this Hamiltonian varies by more than mesh errors can
-        explain.
+        The result contains the warnings of the solve (the attribute `notes`), for example that some
+        equations follow from others. If the problem does not depend on time explicitly, its
+        Hamiltonian should be constant. A further warning is added if this Hamiltonian varies by
+        more than mesh errors can explain.
         """
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 

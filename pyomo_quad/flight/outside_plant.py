@@ -571,15 +571,16 @@ def fly_outside(
     pilot : Pilot
         Controller, or open loop.
     reference : Reference
-        Path to follow.
+        Path that the vehicle follows under feedback.
     plan : Plan, optional
-        Plan to follow. If the flight ends off the goal, the plan's costates give an estimate of the
-        energy that the vehicle still needs.
+        Plan whose controls are flown in open loop, or whose path is the reference. If the flight
+        ends off the goal, the plan's costates give an estimate of the energy that the vehicle still
+        needs.
 
     Returns
     -------
     Flight
-        The flight, named by `outside_name`.
+        The flight. Its name is that of the function `outside_name`.
 
     Raises
     ------

@@ -405,7 +405,7 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
     Parameters
     ----------
     path : _Path
-        Path without displacement.
+        Path of the solution itself, not pushed out of zones.
     regulator : _Regulator
         Regulator with the linearised equations.
     previous : Trajectories

@@ -190,12 +190,11 @@ def quantity(
         scenario, for example in a report, such a field is left out if its value is the default. A
         stored scenario without such a field is read with the field's default.
     initial : object, optional
-        Value that the field gets if a scenario file leaves the field out. A stored scenario without
-        the field gets the default instead. If `initial` is not given, the field gets the default in
-        both cases.
+        Value that replaces the default for scenario files. It is used if a scenario file leaves the
+        field out. A stored scenario without the field still gets the default.
     unit_keys : mapping, optional
-        Further keys of the field in a file, for other units. The value of a key is the factor from
-        the key's unit to `unit`.
+        Other keys under which a file may give the field in another unit. The mapping has for each
+        key the factor that converts its unit to `unit`.
     **limits
         Constraints of pydantic, such as ``gt=0`` or ``max_length=200``.
 

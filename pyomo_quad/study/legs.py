@@ -81,8 +81,8 @@ class Leg:
     mass : float
         Mass, as a fraction of the mass at the start.
     group : int
-        Index of the leg's group. A group consists of the legs between two fixed times; the sum of
-        their durations is therefore fixed or limited.
+        Index of the leg's group. A group consists of consecutive legs between two passages whose
+        times the mission fixes or limits. The sum of their durations is then fixed or limited, too.
     end_speed : float
         Largest speed at the end of the leg, m/s; infinite without a limit.
     """

@@ -619,7 +619,8 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 
     The errors of the states at the element's end are multiplied by the costates there. The effect
     is divided by the nominal magnitude of the objective. It is then extrapolated to the whole
-    horizon: it is multiplied by the number of elements, but is at most the sum over all elements.
+    horizon, as if all elements had the same effect: it is multiplied by the number of elements. The
+    result is at most the sum of the effects of all elements before this multiplication.
 
     `moved` has one array per element from `_state_corrections`: the errors of the states, shape
     (degree + 1, n_states). The last row belongs to the element's end.
