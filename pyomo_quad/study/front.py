@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pyomo_quad.collocation import Progress
 from pyomo_quad.flight import Plan, Planner
+from pyomo_quad.flight.margins import tightened
 from pyomo_quad.scenario.mission import Aim
 from pyomo_quad.study.tables import TableColumn
 
@@ -90,6 +91,9 @@ def planned_alike(
 ) -> Plan:
     """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
 
+    If the plan has margins, amounts by which its limits were tightened to keep a risk low, the
+    changed mission has the same margins, so that both plans can be compared.
+
     Parameters
     ----------
     plan : Plan
@@ -107,5 +111,6 @@ def planned_alike(
         The plan of the changed mission. If the solve failed, its `status` says so.
     """
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
-    told = plan.scenario.with_mission(**changed).model_copy(update=once)
+    margins = plan.risk.margins if plan.risk is not None else {}
+    told = tightened(plan.scenario.with_mission(**changed), margins).model_copy(update=once)
     return planner.solve(told, warm_start=plan, progress=progress)

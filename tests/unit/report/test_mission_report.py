@@ -283,7 +283,7 @@ class Told:
     a, b = 900.0, 100.0
 
     def solve(self, scenario, **_):
-        mission = scenario.mission
+        self.solved, mission = scenario, scenario.mission
         least, greatest = mission.duration_limits
         best = np.sqrt(self.a / (self.b + mission.price_of_time))
         duration = min(max(best, least), greatest)
@@ -294,6 +294,7 @@ class Told:
             hover_energy_J=80.0 * duration,
             is_verified=True,
             verification=object(),
+            risk=None,
         )
 
 
@@ -314,6 +315,16 @@ def test_the_front_is_that_of_the_flights_of_least_cost():
 def test_flights_at_a_limit_of_the_duration_stand_in_the_front_once():
     front = front_of("mission.duration_min = 2.5")
     assert front["duration_s"].tolist() == [2.5, pytest.approx(np.sqrt(900 / 124)), 3.0]
+
+
+def test_flights_of_the_front_have_the_margins_of_the_plan():
+    planner = Told()
+    plan = planner.solve(load_scenario("scenarios/paper_free.toml"))
+    plan.risk = SimpleNamespace(margins={"mission.duration_min": 2.6, "limits.roll_max": 0.1})
+    front = energy_time_front(plan, planner=planner)
+    least = plan.scenario.mission.duration_limits[0] + 2.6
+    assert front["duration_s"].min() == pytest.approx(least)
+    assert planner.solved.limits.roll_max == pytest.approx(plan.scenario.limits.roll_max - 0.1)
 
 
 def test_a_fixed_duration_has_no_front():
