@@ -254,14 +254,15 @@ def fly_cruise_often(
     seed: int,
     name: str = "",
     least_s: float = 0.0,
+    arriving: float = 0.5,
 ) -> Ensemble:
     """Simulate an autopilot, straight between waypoints, many times in random winds.
 
     With the same seed, the winds are the same as in `fly_plan_often`. In all flights the autopilot
     waits at the goal for the same time, so that the vehicle can settle. This time is the shortest
-    with which at least half of the flights arrive, found to `_WAIT_S`. Limits broken on the way do
-    not count here, because a longer wait cannot mend them and would only cost energy. If no time in
-    `SETTLINGS_S` is long enough, the time in it with which most flights arrive is used.
+    with which the share `arriving` of the flights arrives, found to `_WAIT_S`. Limits broken on the
+    way do not count here, because a longer wait cannot mend them and would only cost energy. If no
+    time in `SETTLINGS_S` is long enough, the time in it with which most flights arrive is used.
 
     Parameters
     ----------
@@ -277,6 +278,8 @@ def fly_cruise_often(
         Name of the flights. By default the flights are named after the speed.
     least_s : float, default 0
         Least duration of the flights [s].
+    arriving : float, default 0.5
+        Share of the flights that are to arrive.
 
     Returns
     -------
@@ -292,7 +295,7 @@ def fly_cruise_often(
         return _flown(named, told, path, planner=planner, flights=flights, seed=seed)
 
     def is_enough(settling_s: float) -> bool:
-        return 2 * flown_with(settling_s).arrived.count >= flights
+        return flown_with(settling_s).arrived.count >= arriving * flights
 
     enough = next(filter(is_enough, SETTLINGS_S), None)
     if enough is None:

@@ -106,23 +106,28 @@ def test_a_limit_broken_on_the_way_does_not_make_an_autopilot_wait_longer():
 
 
 @pytest.mark.parametrize(
-    ("arrive", "waited"), [((0.0, 4), 0.0), ((0.62, 4), 0.62), ((2.5, 1), 2.5)]
+    ("arriving_after", "share", "waited"),
+    [
+        ([0.0, 0.0, 0.0, 0.0], 0.5, 0.0),
+        ([0.3, 0.62, 0.9, 9.0], 0.5, 0.62),
+        ([0.3, 0.62, 0.9, 1.31], 1.0, 1.31),
+        ([2.2, 9.0, 9.0, 9.0], 0.5, 2.5),
+    ],
 )
-def test_an_autopilot_waits_for_the_shortest_time_with_which_half_or_most_arrive(
-    monkeypatch, arrive, waited
+def test_an_autopilot_waits_for_the_shortest_time_with_which_the_share_or_most_arrive(
+    monkeypatch, arriving_after, share, waited
 ):
-    needed, most = arrive
     told = flights.scenario("paper_calm", *HOP)
     settings = CruiseSettings(speed=2.0, acceleration=3.0, jerk=4.0)
     shortest = cruise_at(told.cruising(settings)).mission.duration
 
     def flown(_name, scenario, _path, **_):
         wait = scenario.mission.duration - shortest
-        count = most if wait >= needed - 1e-9 else 0
+        count = sum(wait >= needed - 1e-9 for needed in arriving_after)
         return SimpleNamespace(arrived=Share(count, 4), waited=wait)
 
     monkeypatch.setattr(ensemble, "_flown", flown)
-    found = fly_cruise_often(told, settings, planner=None, flights=4, seed=0)
+    found = fly_cruise_often(told, settings, planner=None, flights=4, seed=0, arriving=share)
     assert waited - 1e-9 <= found.waited <= waited + 0.1
 
 
