@@ -187,6 +187,19 @@ def test_a_run_of_something_else_or_a_damaged_one_is_not_taken(wind, tmp_path, n
     assert find_run(folder, scenario) is None
 
 
+def test_a_run_whose_search_for_margins_chose_the_gains_is_taken(wind, tmp_path):
+    folder = shutil.copytree(wind.folder, tmp_path / "run")
+    scenario = load_scenario(SCENARIOS / "paper_wind.toml", ESTIMATED)
+    summary = json.loads((folder / "summary.json").read_text())
+    summary["scenario_resolved"]["baseline"]["gains"]["position"] = 2.0
+    (folder / "summary.json").write_text(json.dumps(summary))
+    assert find_run(folder, scenario) is None
+    summary["risk"] = {"gains": {"position": 2.0}}
+    (folder / "summary.json").write_text(json.dumps(summary))
+    assert find_run(folder, scenario) is not None
+    assert find_run(folder, scenario.with_values({"baseline.gains.position": 1.7})) is None
+
+
 def test_compare_refuses_before_it_solves(tmp_path, capsys):
     assert main(["compare", PAPER_CALM, str(tmp_path / "no.toml")]) == ExitCode.BAD_INPUT
     assert "no.toml: cannot be read" in capsys.readouterr().err
