@@ -9,14 +9,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
+from pyomo_quad.collocation.closed_loop import ClosedLoop, Law
 from pyomo_quad.collocation.diagnosis import ActiveLimit, Diagnosis, Relaxation, Residual, diagnose
-from pyomo_quad.collocation.dynamics import (
-    ClosedLoop,
-    Dynamics,
-    Instants,
-    Law,
-    split_algebraics,
-)
+from pyomo_quad.collocation.dynamics import Dynamics, Instants, split_algebraics
 from pyomo_quad.collocation.enclosure import Enclosure, symbols
 from pyomo_quad.collocation.errors import EngineError, SolveError, TranscriptionError
 from pyomo_quad.collocation.joint import JointProblem, JointSolution, compiled_of

@@ -15,13 +15,14 @@ import casadi
 import numpy as np
 from scipy.integrate import DOP853
 
-from pyomo_quad.collocation.dynamics import ClosedLoop, Dynamics
+from pyomo_quad.collocation.closed_loop import ClosedLoop
 from pyomo_quad.collocation.errors import SolveError
 from pyomo_quad.collocation.program.compiled import MappedFunction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    from pyomo_quad.collocation.dynamics import Dynamics
     from pyomo_quad.collocation.mesh import FloatArray
 
 _STAGES = DOP853.n_stages

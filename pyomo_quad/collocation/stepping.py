@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING, Any
 import casadi
 import numpy as np
 
-from pyomo_quad.collocation.dynamics import Dynamics, Law, closed, joint_sizes
+from pyomo_quad.collocation.closed_loop import Law, closed, joint_sizes
 from pyomo_quad.collocation.errors import SolveError
 from pyomo_quad.collocation.program.compiled import MappedFunction
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from pyomo_quad.collocation.dynamics import Dynamics
     from pyomo_quad.collocation.mesh import FloatArray
 
 

@@ -41,6 +41,7 @@ ENGINE = {
     "guess": 3,
     "limits": 3,
     "dynamics": 3,
+    "closed_loop": 3,
     "open_loop": 3,
     "stepping": 3,
     "solution": 3,

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from pyomo_quad.collocation.dynamics import Symbol
+from pyomo_quad.collocation.closed_loop import Symbol
 from pyomo_quad.flight.baselines import reference_path
 from pyomo_quad.flight.controller import (
     Allocation,
