@@ -37,9 +37,10 @@ _NEWTON_TOLERANCE = 1e-13
 # Number of Newton steps where it is fixed, starting from zero. The first step may overshoot by a
 # factor of 2^12, as for the induced velocity of a hovering rotor; later steps halve the overshoot.
 _NEWTON_STEPS = 20
-# Compiled right-hand sides by problem and class, kept because they are the same for all parameter
-# values, and compiling one takes some 20 ms.
-_COMPILED: WeakKeyDictionary[Formulation, dict[type, Any]] = WeakKeyDictionary()
+# Compiled right-hand sides and their Jacobians, by problem, class and name of the function. They are
+# kept because they are the same for all parameter values, and compiling one takes 20 to 30 ms.
+_COMPILED: WeakKeyDictionary[Formulation, dict[tuple[type, str], Any]] = WeakKeyDictionary()
+_RIGHT_HAND_SIDE, _SLOPES = "right_hand_side", "slopes"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,9 +116,10 @@ class Dynamics:
         self.timeline = formulation.timeline(self._statics, instance)
         self.start = float(self.timeline.times[0])
         kept = _COMPILED.setdefault(formulation, {})
-        if type(self) not in kept:
-            kept[type(self)] = self._compile(states)
-        self._right_hand_side = kept[type(self)]
+        key = type(self), _RIGHT_HAND_SIDE
+        if key not in kept:
+            kept[key] = self._compile(states)
+        self._right_hand_side = kept[key]
         self._at_one = MappedFunction(self._right_hand_side, 1)
         self._signals = formulation.values.signals(instance)
         n_signals = len(declared.signals) + len(declared.scheduled)
@@ -159,7 +161,7 @@ class Dynamics:
             return self._implicit_side(_Core.of(rows, unknowns, inputs, rest), inputs)
         solved = _solved_for(rows, unknowns)
         outputs = casadi.substitute([unknowns, rest], [unknowns], [solved])
-        return casadi.Function("right_hand_side", inputs, [casadi.densify(o) for o in outputs])
+        return casadi.Function(_RIGHT_HAND_SIDE, inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side as a CasADi function that solves implicit equations.
@@ -175,7 +177,7 @@ class Dynamics:
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
         found = newton(casadi.MX.zeros(core.inner.shape[0]), stacked)
-        return casadi.Function("right_hand_side", symbols, list(core.known(found, stacked)))
+        return casadi.Function(_RIGHT_HAND_SIDE, symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
         """Return a right-hand side that solves implicit equations by 20 Newton steps.
@@ -450,12 +452,19 @@ class Dynamics:
         unknowns, ((density, span),) = self._solve(t, x, u)
         return unknowns[0, : x.size] / span, float(density / span)
 
-    @cached_property
+    @property
     def _slopes(self) -> Any:
-        own = self._right_hand_side
-        inputs = own.name_in()[:2]
-        jacobians = [f"jac:{own.name_out(0)}:{name}" for name in inputs]
-        return own.factory("slopes", own.name_in(), jacobians)
+        """CasADi function with the inputs of the right-hand side, and three outputs.
+
+        The outputs are the second output of the right-hand side, and the Jacobians of its first
+        output with respect to states and controls. See `_compile` for both outputs.
+        """
+        kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
+        if key not in kept:
+            own = self._right_hand_side
+            jacobians = [f"jac:{own.name_out(0)}:{name}" for name in own.name_in()[:2]]
+            kept[key] = own.factory(_SLOPES, own.name_in(), [own.name_out(1), *jacobians])
+        return kept[key]
 
     def slopes(self, t: float, x: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of the right-hand side dx/dt at a time.
@@ -476,9 +485,9 @@ class Dynamics:
         ndarray, shape (n_states, n_controls)
             Derivatives with respect to the controls.
         """
-        _, ((_, span),) = self._solve(t, x, u)
-        found = self._slopes(x, u, self._statics, self._row(t))
-        by_state, by_control = (np.asarray(one.full())[: x.size] / span for one in found)
+        rest, *jacobians = self._slopes(x, u, self._statics, self._row(t))
+        span = float(rest[1])
+        by_state, by_control = (np.asarray(one.full())[: x.size] / span for one in jacobians)
         return by_state, by_control
 
     def integrand(self, t: float, x: FloatArray, u: FloatArray) -> float:
@@ -963,7 +972,7 @@ class _WithoutIterations(Dynamics):
             step = _solve_linear(slope(found, stacked), core.residual(found, stacked))
             found = found - step
         known = list(core.known(found, stacked))
-        return casadi.Function("right_hand_side", inputs, known, {"cse": True})
+        return casadi.Function(_RIGHT_HAND_SIDE, inputs, known, {"cse": True})
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:

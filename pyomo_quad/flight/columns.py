@@ -76,10 +76,7 @@ class Column:
 
     @property
     def variable(self) -> str:
-        """Name of the model's variable that the column holds, such as "rotors.omega[1]".
-
-        The index of the time is left out.
-        """
+        """Name of the variable in this column, without the time, such as "rotors.omega[1]"."""
         return self.component if self.index is None else f"{self.component}[{self.index}]"
 
     @property

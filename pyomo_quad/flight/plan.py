@@ -522,6 +522,15 @@ class Plan(Summarised):
         return self.energy + self.scenario.mission.price_of_time * self.duration_s
 
     @property
+    def margins(self) -> Mapping[str, float]:
+        """Amounts by which limits were tightened for the plan, in the units of the limits.
+
+        The key is the full name of a field of the scenario, such as "limits.thrust_max". The
+        mapping is empty for a plan that was made without a risk.
+        """
+        return {} if self.risk is None else self.risk.margins
+
+    @property
     def mission_flown(self) -> Scenario:
         """Scenario of the plan, in which all times that the mission leaves free are fixed.
 

@@ -456,7 +456,7 @@ def fly_replanned(
     settings = scenario.baseline.mpc or Replanning()
     if computer is None:
         computer = partial(_charged, settings)
-    margins = None if plan is None or plan.risk is None else plan.risk.margins
+    margins = None if plan is None else plan.margins
     flight = _ReplannedFlight(
         scenario,
         settings,

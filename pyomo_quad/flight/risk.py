@@ -84,7 +84,7 @@ def plan_at_risk(
             return search.unfinished(_OWN_MODEL) if is_stated else paper
         if is_stopped():
             return search.unfinished(STOPPED)
-        may_change_gains = scenario.baseline.gains == Gains()
+        may_change_gains = scenario.baseline.has_default_gains
         try:
             if not (may_change_gains and search.is_beyond_the_controller()):
                 found.append(search.best())

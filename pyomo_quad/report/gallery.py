@@ -292,7 +292,7 @@ def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
     `often` holds many simulated flights of the plan, each in its own random wind. The names of the
     figures begin with ``turbulence_``.
     """
-    margin = 0.0 if plan.risk is None else plan.risk.margins.get("airspace.clearance", 0.0)
+    margin = plan.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
         yield replace(drawing, name=f"turbulence_{drawing.name}")
 

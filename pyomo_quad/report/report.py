@@ -42,7 +42,7 @@ from pyomo_quad.report.tables import (
     write_table,
 )
 from pyomo_quad.scenario import PowerModel, Reference
-from pyomo_quad.scenario.tables import Gains, Replanning
+from pyomo_quad.scenario.tables import Replanning
 from pyomo_quad.study.aims import AimColumn, charge_beyond_least
 from pyomo_quad.study.autopilot import tuning_table
 from pyomo_quad.study.comparison import (
@@ -224,7 +224,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
         return None
     # A search for margins may have replaced the default gains of the controller by faster gains.
     chosen = (summary.get("risk") or {}).get("gains") or {}
-    if chosen and scenario.baseline.gains == Gains():
+    if chosen and scenario.baseline.has_default_gains:
         gains = {f"baseline.gains.{name}": number for name, number in chosen.items()}
         scenario = scenario.with_values(gains)
     expected = {

@@ -232,6 +232,14 @@ class Baseline(Part):
     )
     mpc: Replanning | None = late_quantity("", "re-planning in flight, not flown when absent", None)
 
+    @property
+    def has_default_gains(self) -> bool:
+        """Whether the scenario leaves the controller's gains at their default values.
+
+        A search for margins may then replace them by faster gains.
+        """
+        return self.gains == Gains()
+
     def cruise_settings(self, speed: float) -> CruiseSettings:
         """Return largest speed, acceleration and jerk of the baseline flight `cruise`.
 

@@ -111,6 +111,5 @@ def planned_alike(
         The plan of the changed mission. If the solve failed, its `status` says so.
     """
     once = {"solver": plan.scenario.solver.model_copy(update={"max_refinements": 0})}
-    margins = plan.risk.margins if plan.risk is not None else {}
-    told = tightened(plan.scenario.with_mission(**changed), margins).model_copy(update=once)
+    told = tightened(plan.scenario.with_mission(**changed), plan.margins).model_copy(update=once)
     return planner.solve(told, warm_start=plan, progress=progress)

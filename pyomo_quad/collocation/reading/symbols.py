@@ -282,7 +282,7 @@ class Address:
 
     @property
     def name(self) -> str:
-        """Name of the component with the index without time, such as ``rotors.omega[1]``."""
+        """Name of the component with its index but without the time: ``rotors.omega[1]``."""
         return indexed_name(self.component, self.index)
 
 

@@ -294,7 +294,7 @@ class Told:
             hover_energy_J=80.0 * duration,
             is_verified=True,
             verification=object(),
-            risk=None,
+            margins={},
         )
 
 
@@ -320,7 +320,7 @@ def test_flights_at_a_limit_of_the_duration_stand_in_the_front_once():
 def test_flights_of_the_front_have_the_margins_of_the_plan():
     planner = Told()
     plan = planner.solve(load_scenario("scenarios/paper_free.toml"))
-    plan.risk = SimpleNamespace(margins={"mission.duration_min": 2.6, "limits.roll_max": 0.1})
+    plan.margins = {"mission.duration_min": 2.6, "limits.roll_max": 0.1}
     front = energy_time_front(plan, planner=planner)
     least = plan.scenario.mission.duration_limits[0] + 2.6
     assert front["duration_s"].min() == pytest.approx(least)
