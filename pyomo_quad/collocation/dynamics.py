@@ -37,8 +37,8 @@ _NEWTON_TOLERANCE = 1e-13
 # Number of Newton steps where it is fixed, starting from zero. The first step may overshoot by a
 # factor of 2^12, as for the induced velocity of a hovering rotor; later steps halve the overshoot.
 _NEWTON_STEPS = 20
-# Compiled right-hand sides and their Jacobians, by problem, class and name of the function. They are
-# kept because they are the same for all parameter values, and compiling one takes 20 to 30 ms.
+# Compiled right-hand sides and their Jacobians, by problem, class and name of the function. They
+# are kept because they are the same for all parameter values, and compiling one takes 20 to 30 ms.
 _COMPILED: WeakKeyDictionary[Formulation, dict[tuple[type, str], Any]] = WeakKeyDictionary()
 _RIGHT_HAND_SIDE, _SLOPES = "right_hand_side", "slopes"
 
