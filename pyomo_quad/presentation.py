@@ -1,14 +1,17 @@
 """Registry of the presenter, the module that draws figures and writes reports.
 
-The figures and reports are of plans and runs. A plan is an optimised flight. A run is a plan
-together with the baseline flights that it is compared with. The presenter is the module
-`pyomo_quad.report.presenting`.
+The presenter is the module `pyomo_quad.report.presenting`. It presents plans and runs. A plan is an
+optimised flight. A run is a plan together with the baseline flights that it is compared with.
 
-Methods such as `Plan.plot` need the presenter, but their modules must not import it. There are two
-reasons: the presenter imports matplotlib, which takes time; and the package of the presenter
-imports the packages of plans and runs, so that the imports would be circular. Therefore
-`pyomo_quad/__init__.py` registers here a function that imports the presenter. The methods call the
-function `presenter` of this module, which calls the registered function.
+Methods such as `Plan.plot` need the presenter, but their modules must not import it, for two
+reasons:
+
+- The presenter imports matplotlib, which takes time.
+- The presenter's package imports the packages of plans and runs. The imports would therefore be
+  circular.
+
+Therefore `pyomo_quad/__init__.py` registers here a function that imports the presenter. The methods
+call the function `presenter` of this module, which calls the registered function.
 """
 
 from collections.abc import Callable
@@ -44,8 +47,8 @@ class Picture(Protocol):
 class Presenter(Protocol):
     """Interface of the module `report.presenting`, which draws figures and writes reports.
 
-    The figures and reports are of plans and runs. A run is the result of `run_scenario`: a plan
-    together with the baseline flights that it is compared with.
+    The presenter presents plans and runs. A run is the result of `run_scenario`: a plan together
+    with the baseline flights that it is compared with.
     """
 
     def picture_of_plan(self, plan: Any, what: str) -> Picture:  # noqa: ANN401
@@ -125,14 +128,13 @@ _supply: list[Callable[[], Presenter]] = []
 def register_presenter(supply: Callable[[], Presenter]) -> None:
     """Register the function that imports and returns the presenter.
 
-    The presenter is the module `report.presenting`, which draws figures and writes reports of plans
-    and of simulated flights compared with them. A later registration replaces an earlier one.
+    The presenter is the module `report.presenting`. A later registration replaces an earlier one.
 
     Parameters
     ----------
     supply : callable
-        Function without arguments that returns a `Presenter`. The function imports matplotlib and
-        is therefore not called before the first figure or report is wanted.
+        Function without arguments that returns a `Presenter`. The function imports matplotlib,
+        which takes time. It is therefore called only when the first figure or report is requested.
     """
     _supply[:] = [supply]
 

@@ -47,22 +47,24 @@ def side_by_side(
     in when the block calls the yielded function. The copies are killed at the end of the block.
 
     There is at most one process per core. A copy starts with all libraries and data of this
-    process, and ends if this process ends. If a task fails in a copy, or its result cannot be sent
-    back, this process runs the task once more. If the task fails again, this process raises the
-    error. Where a fork is not safe (see `cores`), all tasks run in this process.
+    process. If this process ends, the copies end too. Where a fork is not safe (see `cores`), all
+    tasks run in this process.
+
+    A task may fail in a copy, or its result may be impossible to send back. This process then runs
+    the task once more. If the task fails again, this process raises the error.
 
     Parameters
     ----------
     tasks : sequence of callable
         Functions without arguments.
     use_blas : bool, default True
-        Whether the tasks call BLAS. If they do, and BLAS has several threads, all tasks run in this
-        process, because a forked copy lacks the threads.
+        Whether the tasks call BLAS. A forked copy has no BLAS threads. If the tasks call BLAS with
+        several threads, all tasks therefore run in this process.
     is_stopped : callable, optional
-        Function that returns whether the tasks were stopped, for example by the user. It is called
-        every tenth of a second while this process waits for the copies. When it returns True, this
-        process stops waiting and calls the unfinished tasks itself. A task should therefore return
-        at once if it is called after a stop.
+        Function that returns True after a stop, for example by the user. While this process waits
+        for the copies, it calls the function every tenth of a second. After a stop, this process
+        waits no longer and calls the unfinished tasks itself. A task that is called after a stop
+        should therefore return at once.
 
     Yields
     ------
@@ -115,8 +117,8 @@ def side_by_side(
 def _have_ended(answers: Sequence[Future[Any]]) -> bool:
     """Return whether all forked copies of this process have ended their tasks.
 
-    `answers` are the futures of the copies' results. The function waits for the results, but not
-    longer than a tenth of a second.
+    `answers` are the futures of the copies' results. The function waits for the results for at most
+    a tenth of a second.
     """
     return not wait(answers, _MOMENT_S).not_done
 
@@ -124,9 +126,9 @@ def _have_ended(answers: Sequence[Future[Any]]) -> bool:
 def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
-    The processes are this process and forked copies of it. The argument `use_blas` states whether
-    the tasks call BLAS. The result is the number of available cores, but at most ``most``. The
-    result is 1 where this process must not be forked:
+    The processes are this process and forked copies of it. The result is the smaller of ``most``
+    and the number of available cores. The argument `use_blas` states whether the tasks call BLAS.
+    The result is 1 in each case in which this process must not be forked:
 
     - on systems other than Linux;
     - if the tasks call BLAS with several threads, because a forked copy lacks the threads;
@@ -155,7 +157,7 @@ def process_pool(count: int) -> Iterator[Executor]:
 
 
 class _QuietPool(ProcessPoolExecutor):
-    """Pool of processes that ignore terminal signals (Ctrl-C), which the parent handles."""
+    """Pool of processes that ignore Ctrl-C and other signals, which the parent process handles."""
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
         # A process inherits the signal mask with which it starts, so it neither ends during its
@@ -182,8 +184,8 @@ _work: Callable[[], Any] | None = None
 def _begin(work: Callable[[], Any] | None) -> None:
     """Initialise a process of a pool; each process calls this function once, at its start.
 
-    The process stores `work`, a function that it will call as its task; None stores no function.
-    After this call, the signal SIGTERM ends the process, and the process ends when its parent ends.
+    The process stores `work`, the function that it will call later, or None. After this call, the
+    process ends at the signal SIGTERM, and when its parent process ends.
     """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work

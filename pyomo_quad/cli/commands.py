@@ -212,12 +212,14 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    Under model-predictive control, the flight is re-planned: the controller plans the rest of the
-    mission again and again. A plan of the whole mission is made before the flight if
+    A plan of the whole mission is made before the flight if at least one of these holds:
 
-    - the flight follows a plan,
-    - the duration of the mission is free, or
-    - the flight is re-planned, and the time of a waypoint is free.
+    - the flight follows a plan;
+    - the duration of the mission is free;
+    - the controller is model-predictive, and the time of a waypoint is free.
+
+    A model-predictive controller also plans the rest of the mission again and again during the
+    flight.
 
     Parameters
     ----------
@@ -512,7 +514,7 @@ _NO_MEMORY = ("std::bad_alloc", "Cannot allocate memory")
 
 
 def _lacks_memory(error: BaseException | None) -> bool:
-    """Return whether an error, or any error that caused it, is due to a lack of memory."""
+    """Return whether a lack of memory caused an error, directly or through other errors."""
     while error is not None:
         if isinstance(error, MemoryError) or any(said in str(error) for said in _NO_MEMORY):
             return True

@@ -52,9 +52,12 @@ class Interruption:
     """Record of a user's request to stop the running command.
 
     The first signal, such as Ctrl-C, is the request. It sets the attribute `is_requested`, and
-    starts a timer that ends the process. The timer lasts half a second if the attribute
-    `has_result` is False. It lasts one minute if `has_result` is True, so that the command can
-    write its report. After a second signal, the process ends within half a second.
+    starts a timer. The process ends when the timer expires:
+
+    - after half a second if the attribute `has_result` is False;
+    - after one minute if `has_result` is True, so that the command can write its report.
+
+    After a second signal, the process ends within half a second.
 
     The command sets `has_result` as soon as it has a plan whose simulated flight arrives and keeps
     all limits.
@@ -67,9 +70,10 @@ class Interruption:
     def request(self, _signal: int, _frame: FrameType | None) -> None:
         """Handle a signal: record the request, and start a timer that ends the process.
 
-        A second signal shortens the time until the end to half a second. In a process that also
-        runs other code, such as tests, no timer is set. The arguments are those that Python passes
-        to every signal handler; they are not used.
+        A second signal shortens the time until the end to half a second. No timer is set in a
+        process that also runs other code, such as tests.
+
+        Python passes two arguments to every signal handler. They are not used here.
 
         Raises
         ------
@@ -98,9 +102,9 @@ def _ending_signals() -> list[signal.Signals]:
 def leave(status: int) -> int:
     """Finish a command, and return the given exit status.
 
-    If a signal has requested the end of the process, the function ends the process at once, with
-    this exit status. Otherwise the function prepares a quick end: Python will skip the slow
-    deallocation of objects.
+    If a signal has started the timer that ends the process, the function ends the process at once,
+    with this exit status. Otherwise the function only makes the coming end of the process faster:
+    Python will not free its objects one by one.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -111,8 +115,9 @@ def leave(status: int) -> int:
 def record_last_message() -> None:
     """Record that the command has printed its last message.
 
-    After a signal such as Ctrl-C, a timer may end the process, and print that the command was
-    interrupted. After a call of this function, the timer prints nothing.
+    A signal such as Ctrl-C starts a timer that ends the process. The timer normally prints that the
+    command was interrupted. After a call of this function, the timer ends the process without a
+    message.
     """
     global _has_last_message  # noqa: PLW0603  a fact about the process
     _has_last_message = True
@@ -121,19 +126,24 @@ def record_last_message() -> None:
 def before_the_end(act: Callable[[], object]) -> None:
     """Register a function `act` to be called without arguments before a signal ends the process.
 
-    Examples are functions that remove temporary files or end child processes. They must be quick.
+    The function `act` must be quick. For example, it may remove temporary files or end child
+    processes.
     """
     _last_acts.append(act)
 
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Context manager: record a signal as a request to stop; do not end the process at once.
+    """Context manager: turn a signal such as Ctrl-C into a request to stop a solve.
 
-    A solve inside the ``with`` block checks the record at each iteration. After a request, the
-    solve stops and returns its best iterate. In addition, the signal starts a timer that ends the
-    process. The timer lasts one minute if the solve has found a plan whose simulated flight arrives
-    and keeps all limits; the command can then write a report. Otherwise it lasts half a second.
+    A solve inside the ``with`` block checks at each iteration whether a stop was requested. After a
+    request, the solve stops and returns its best iterate.
+
+    The signal also starts a timer that ends the process. The timer lasts
+
+    - one minute if the solve has found a plan whose simulated flight arrives and keeps all limits,
+      so that the command can write a report;
+    - half a second otherwise.
 
     Yields
     ------
@@ -189,10 +199,10 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process, if the process runs only the command.
+    """Set a timer that ends the process, unless the process also runs other code.
 
-    In a process that also runs other code, such as tests, no timer is set. A running timer is kept
-    if it ends the process sooner than the new timer would.
+    Tests are an example of other code. If a timer is running already, the timer that ends the
+    process sooner is kept.
 
     Parameters
     ----------
@@ -202,7 +212,7 @@ def _enforce(patience_s: float) -> bool:
     Returns
     -------
     bool
-        Whether the process runs only the command.
+        True if the process runs only the command; False if it also runs other code.
     """
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]

@@ -100,8 +100,8 @@ def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
     flown : Ensemble
         Flights of the plan in random winds.
     savings : sequence of Saving
-        Comparison with an autopilot's flights in the same winds, one entry for each speed of the
-        autopilot: the energy that the plan saves.
+        Energy that the plan saves, compared with an autopilot in the same winds. One entry for each
+        speed of the autopilot.
     """
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")

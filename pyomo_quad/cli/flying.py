@@ -67,10 +67,10 @@ _Outcome = TypeVar("_Outcome")
 
 
 def make_flight(scenario: Scenario, fly: Callable[[], _Outcome]) -> _Outcome:
-    """Call the function `fly`, which simulates flights, and return the flights.
+    """Simulate flights by a call of the function `fly`, and return them.
 
-    The function `fly` raises `SolveError` if a flight is impossible. The message of the error is
-    then printed to standard error, and the command exits.
+    If a flight is impossible, `fly` raises `SolveError`. This function then prints the error's
+    message to standard error, and ends the command.
 
     Parameters
     ----------
@@ -108,10 +108,9 @@ def fly_declared(
     scenario : Scenario
         Mission and wind.
     reference : Reference or None
-        Reference trajectory that the adaptive controller follows. If the argument is None, the
-        plan's controls are applied without feedback (open loop). `Reference.CRUISE` is a flight in
-        the manner of an autopilot, at the scenario's cruise speed. If the scenario gives no cruise
-        speed, the cruise speed with the least energy is taken.
+        Reference trajectory that the adaptive controller follows. None: the plan's controls are
+        applied without feedback (open loop). `Reference.CRUISE`: a flight in the manner of an
+        autopilot, at the scenario's cruise speed, or else at the speed that needs the least energy.
     plan : Plan or None
         Plan of the scenario; None if the flight needs no plan.
     """

@@ -96,8 +96,10 @@ def vehicle(
 def is_asked(*, is_quiet: bool) -> bool:
     """Return whether the command may ask the user for missing data on a terminal.
 
-    The result is False if the user has given the option `--quiet` (`is_quiet`). It is also False if
-    standard input or standard output is not a terminal.
+    The result is True if both of these hold:
+
+    - the user has not given the option `--quiet` (`is_quiet` is False);
+    - standard input and standard output are a terminal.
     """
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 
@@ -112,12 +114,12 @@ def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float
     words : str
         Question to the user.
     is_needed : bool, default False
-        Whether to ask until the user gives a number.
+        Whether a number is required. If so, the question is repeated until the user gives a number.
 
     Returns
     -------
     float or None
-        The number; None if it is not needed and the user gives an empty answer.
+        The number; None if the user gives an empty answer to a question that requires no number.
     """
     while given is None:
         answer = typer.prompt(words, default="" if not is_needed else None, show_default=False)

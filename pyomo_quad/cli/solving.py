@@ -128,8 +128,10 @@ class _CommandPlanner(Planner):
 def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = False) -> Planner:
     """Return the planner of a command, which shows progress and stops at signals such as Ctrl-C.
 
-    The planner's method `solve` raises `SolveStopped` if the user stops the solve, and
-    ScenarioError if the scenario's model cannot be transcribed.
+    The planner's method `solve` raises
+
+    - `SolveStopped` if the user stops the solve;
+    - ScenarioError if the scenario's model cannot be transcribed.
 
     Parameters
     ----------
@@ -139,8 +141,8 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
         Options of the command: permission to run the scenario's Python model builder, and choice of
         progress display.
     keeps_usable : bool, default False
-        Whether a stopped solve returns its best plan if the plan's simulated flight arrives and
-        keeps all limits. In all other cases, a stopped solve raises `SolveStopped`.
+        Whether a solve that the user stops may return its best plan instead of raising
+        `SolveStopped`. The plan is returned if its simulated flight arrives and keeps all limits.
 
     Raises
     ------
@@ -153,10 +155,10 @@ def planner_for(scenario: Scenario, options: Options, *, keeps_usable: bool = Fa
 
 @contextmanager
 def report_folder(folder: Path) -> Iterator[Path]:
-    """Context manager: write a new report folder, unless the user stops the solve.
+    """Context manager: write a report folder, and keep the earlier report if the solve is stopped.
 
-    If the user stops the solve, the command prints one line and exits. An earlier report in the
-    folder then remains unchanged.
+    If the user stops the solve, the command prints one line and exits. The folder then still has
+    its earlier report.
 
     Yields
     ------
@@ -178,7 +180,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save the best iterate of a stopped solve in a separate folder, if it is nearly feasible.
+    """Save the best iterate of a stopped solve in a separate folder, if nearly feasible.
 
     An iterate counts as nearly feasible if its relative constraint violation is at most 1e-4.
 
@@ -187,12 +189,12 @@ def _kept(plan: Plan, folder: Path) -> str:
     plan : Plan
         The best iterate, as a plan.
     folder : Path
-        Report folder of the command; the name of the separate folder is derived from it.
+        Report folder of the command. The name of the separate folder is derived from its name.
 
     Returns
     -------
     str
-        Clause for the command's message: it names the separate folder, or states that nothing was
+        Part of the command's message. It names the separate folder, or states that nothing was
         written.
     """
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
@@ -208,9 +210,12 @@ def _kept(plan: Plan, folder: Path) -> str:
 def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenario]:
     """Load a stored plan, and choose the accuracy to which its solve continues.
 
-    An override `solver.accuracy` sets the accuracy. By default, the accuracy is the level that the
-    plan's scenario requires. If a simulation has already confirmed the plan to that level, the
-    accuracy is the next higher level.
+    The new accuracy is the first of these that applies:
+
+    - the accuracy in the overrides, `solver.accuracy`;
+    - the accuracy that the plan's scenario requires, if no simulation has confirmed the plan to
+      this accuracy yet;
+    - the next higher accuracy.
 
     Parameters
     ----------
@@ -222,7 +227,7 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     Returns
     -------
     tuple of (Plan, Scenario)
-        The plan to start from, and its scenario with the new accuracy.
+        The stored plan, from which the solve continues, and its scenario with the new accuracy.
 
     Raises
     ------
@@ -256,11 +261,11 @@ def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
     The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    False in three cases:
+    also False if
 
     - the scenario states no risk;
     - the risk of the plan was not assessed;
-    - no simulation confirms the plan. The status of the plan then reports the failure.
+    - no simulation has confirmed the plan; the plan's status then reports the failure.
     """
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
@@ -351,7 +356,7 @@ def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
     folder : Path
         Report folder, to which the message refers.
     cautions : sequence of str
-        Warnings, which a successful plan may have, too.
+        Warnings. A successful plan may also have warnings.
     """
     name = plan.scenario.name
     if not plan.is_verified:
@@ -409,9 +414,9 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     -------
     Table
         One row for each flight. The columns are scenario, name, total energy, saving, duration,
-        energy above hovering, final distance from the goal, and outcome. The saving is the
-        percentage of the flight's energy that the plan saves. Empty columns are left out. The
-        column of scenarios is left out if there is only one scenario.
+        energy above hovering, final distance from the goal, and outcome. The saving, in percent, is
+        100 (flight - plan) / flight, with the energies of the flight and of the plan. Empty columns
+        are left out. The column of scenarios is left out if there is only one scenario.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")

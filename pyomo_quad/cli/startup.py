@@ -1,8 +1,8 @@
 """Faster start of a process that runs a single command.
 
-The functions change settings of the whole process. This is only permitted in a process that runs
-nothing but a command. `own_process` limits threads and garbage collection. `import_scipy_alone`
-avoids slow imports. Together they save about a second.
+`own_process` limits threads and garbage collection. `import_scipy_alone` avoids slow imports.
+Together they save about a second. Both change settings of the whole process. Call them only in a
+process that runs nothing but one command.
 """
 
 import gc
@@ -20,8 +20,7 @@ _is_own = False
 def own_process() -> None:
     """Make the process of a command faster: one BLAS thread, rare garbage collection.
 
-    If the user has set the number of BLAS threads by an environment variable, the number is not
-    changed.
+    If an environment variable already sets the number of BLAS threads, that number is kept.
     """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
@@ -31,12 +30,14 @@ def own_process() -> None:
 
 
 def import_scipy_alone() -> None:
-    """Prevent Pyomo from importing further slow modules when SciPy or matplotlib is imported.
+    """Remove the import hooks of Pyomo that make the import of SciPy and matplotlib slow.
 
-    When SciPy or matplotlib is first imported, import hooks of Pyomo import further modules that
-    Pyomo may need later. This takes half a second each for SciPy and matplotlib. The function
-    removes the hooks. Pyomo then imports the further modules only when it uses them. The hook for
-    NumPy still takes effect, because the function imports NumPy and Pyomo's hooks first.
+    When SciPy or matplotlib is first imported, these hooks import further modules that Pyomo may
+    need later. This takes half a second each for SciPy and matplotlib. Without the hooks, Pyomo
+    imports the further modules when it first uses them.
+
+    Pyomo also has a hook for NumPy, which must still act. The function therefore imports NumPy
+    before it removes the hooks.
 
     In a process that also runs other code, such as tests, the function does nothing.
     """

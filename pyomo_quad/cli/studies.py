@@ -77,8 +77,9 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
     Yields
     ------
     Path, list of str
-        A temporary folder to write into, and an empty list. The temporary folder becomes the report
-        folder. The ``with`` block appends the lines to print to the list.
+        A temporary folder and an empty list. The ``with`` block writes the report into the
+        temporary folder, which then becomes the report folder. The block appends each line of the
+        results to the list; the lines are printed at the end.
     """
     lines: list[str] = []
     with output_folder(folder) as aside:
@@ -377,12 +378,12 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    If the measurements determine a parameter, its line says whether the value lies at the end of
-    the permitted range.
+    The rest of the line depends on the measurements:
 
-    If the measurements do not determine a parameter, the parameter keeps the value that it had
-    before the fit. The line of this parameter says so. It also names the parameter with the most
-    similar effect on the power, if there is one.
+    - If they determine the parameter, the line says whether the value lies at an end of the
+      permitted range.
+    - Otherwise the line says that the parameter keeps its value from before the fit. It also names
+      the parameter with the most similar effect on the power, if there is one.
 
     Parameters
     ----------
@@ -441,14 +442,14 @@ def _read(
     vehicle : str
         Description of the vehicle: the name of a vehicle in the library, or a vehicle file.
     flights : Path or None
-        CSV file with the columns "flight" and "split". The flights whose "split" is "fit" are
-        returned. If the argument is None, all flights are returned.
+        CSV file with the columns "flight" and "split". Only flights whose "split" is "fit" are
+        returned. None: all flights are returned.
 
     Returns
     -------
     tuple of (Scenario, DataFrame, DataFrame)
         Scenario with the vehicle, samples of the returned flights, and samples of their battery
-        voltage. The last table is empty if any file in `logs` lacks the voltage.
+        voltage. The last table is empty unless every file in `logs` has the voltage.
     """
     import pandas as pd  # noqa: PLC0415
 

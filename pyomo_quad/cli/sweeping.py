@@ -154,7 +154,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
     Parameters
     ----------
     is_verbose : bool
-        Whether to print a line for every finished case, too.
+        Whether to print a line for every finished case in addition.
 
     Yields
     ------

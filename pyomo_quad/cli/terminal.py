@@ -32,7 +32,8 @@ _WIDTH_WITHOUT_TERMINAL = 140
 def result_console() -> Console:
     """Return a console for standard output.
 
-    If standard output is not a terminal, the width of the console is enough for all tables.
+    On a terminal, the console has the terminal's width. Otherwise the console is wide enough for
+    all tables.
     """
     width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
     return Console(width=width, highlight=False)
@@ -52,10 +53,10 @@ def complain(message: str) -> None:
 
 
 def claim_streams() -> bool:
-    """Replace closed standard streams by the null device, so that the process can print safely.
+    """Make standard output and standard error safe to print to, even if they are closed.
 
-    On standard output and standard error, characters that the terminal cannot encode are printed as
-    escape sequences from then on.
+    Closed streams are replaced by the null device. From then on, characters that the terminal
+    cannot encode are printed as escape sequences.
 
     Returns
     -------
@@ -80,8 +81,10 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    A closed pipe causes such an error. After such an error, the function redirects standard output
-    to the null device. All further output is then discarded without another error.
+    Examples are a closed pipe and a full disk.
+
+    After such an error, the function redirects standard output to the null device. All further
+    output is then discarded without another error.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False
@@ -147,11 +150,13 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 def _state_of(now: "State") -> str:
     """Return the line of the progress display for `now`, the state of a search for a plan.
 
-    A search solves the mission on finer and finer meshes. The line gives the stage of the search,
-    the energy on the last solved mesh, and the relative change of the energy from the mesh before.
-    It also gives the solver's iteration, the number of mesh points and the processor time. The word
-    "usable" means that the search already has a plan that a simulation confirms at lower accuracy
-    than requested. If the user stops the search, this plan is returned.
+    A search solves the mission on finer and finer meshes. The line gives
+
+    - the stage of the search;
+    - the energy on the last solved mesh, and its relative change from the mesh before;
+    - the solver's iteration, the number of mesh points and the processor time;
+    - the word "usable" if a simulation has confirmed a plan, at lower accuracy than requested. If
+      the user stops the search, this plan is returned.
     """
     best = "no energy yet"
     if isfinite(now.energy_J):
@@ -216,7 +221,7 @@ AllowCode = Annotated[
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
-    """Values of the command-line options that are common to all commands which solve."""
+    """Values of the command-line options that all solving commands have in common."""
 
     out: Output = None
     overrides: Overrides = None
@@ -227,7 +232,7 @@ class Options:
 
     @property
     def is_quiet(self) -> bool:
-        """Whether the command must not show its progress."""
+        """Whether the progress display is off, by the option `--quiet` or `--json`."""
         return self.quiet or self.as_json
 
     def load(self, file: Path) -> Scenario:
@@ -236,10 +241,10 @@ class Options:
 
 
 def with_options(command: Callable[..., int]) -> Callable[..., int]:
-    """Give a command the command-line options that are the fields of `Options`.
+    """Replace the parameter `options` of a command by separate command-line options.
 
-    The function `command` has a parameter `options`. The returned function has one parameter for
-    each field of `Options` instead.
+    The returned function calls `command` with an `Options` object. Instead of `options`, it has one
+    parameter for each field of `Options`.
     """
     own, shared = signature(command), signature(Options).parameters
     kept = [one for one in own.parameters.values() if one.name != "options"]

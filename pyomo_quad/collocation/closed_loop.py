@@ -1,7 +1,7 @@
-"""Right-hand side of a vehicle and a control law, compiled to one CasADi function.
+"""Vehicle and control law in closed loop, compiled to one CasADi function.
 
-The function has the equations of the vehicle and of the control law in closed loop. The control law
-is a Python function of numbers; it is called once with symbols instead of numbers.
+The function is the right-hand side of the closed loop. The control law is written in Python, for
+numbers. To compile the law, it is called once with symbols instead of numbers.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ _OPERATIONS = _ARITHMETIC | _FUNCTIONS
 
 
 class Symbol(NDArrayOperatorsMixin):
-    """Symbolic number that is passed to a control law in order to compile the law.
+    """Symbol that takes the place of a number while a control law is compiled.
 
-    The control law is called once, with symbols instead of numbers. Arithmetic and NumPy functions
-    that the law applies to the symbols become CasADi expressions.
+    The control law is called once, with symbols as arguments. Arithmetic and NumPy functions that
+    the law applies to the symbols become CasADi expressions.
     """
 
     def __init__(self, expression: Any) -> None:
@@ -127,8 +127,8 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
         Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. Here x are
         the vehicle's states, and own are the law's own states.
     sizes : (int, int, int)
-        Dimensions of the closed loop, which `joint_sizes` returns: numbers of time-dependent inputs
-        of the equations, of joint states, and of components of the command. The joint state
+        Three numbers, from `joint_sizes`: the number of time-dependent inputs of the equations, the
+        number of joint states, and the number of components of the command. The joint state
         consists of the vehicle's states, the law's own states, and the integral of the objective's
         integrand.
 
@@ -177,8 +177,8 @@ def joint_sizes(dynamics: Dynamics, n_command: int, n_own: int) -> tuple[int, in
     Returns
     -------
     int, int, int
-        Numbers of time-dependent inputs of the equations (see `Dynamics.moment`), of joint states,
-        and of components of the command.
+        Number of time-dependent inputs of the equations (see `Dynamics.moment`), number of joint
+        states, and number of components of the command.
     """
     moment = len(dynamics.moment(dynamics.start))
     return moment, len(dynamics.state_names) + n_own + 1, n_command
@@ -200,8 +200,8 @@ def closed(
         Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. Here x are
         the vehicle's states, and own are the law's own states.
     sizes : (int, int, int)
-        Dimensions of the closed loop, which `joint_sizes` returns: numbers of time-dependent inputs
-        of the equations, of joint states, and of components of the command.
+        Three numbers, from `joint_sizes`: the number of time-dependent inputs of the equations, the
+        number of joint states, and the number of components of the command.
     numbers : mapping
         Full name of a parameter -> symbol that replaces it.
 
@@ -277,10 +277,11 @@ class ClosedLoop:
 
     @classmethod
     def without_feedback(cls, dynamics: Dynamics) -> Self:
-        """Return an object that simulates the vehicle with given controls, without feedback.
+        """Return an object that simulates the vehicle in open loop, with given controls.
 
-        The control law of this closed loop returns the command as the controls, and has no states
-        of its own. `dynamics` is the right-hand side of the vehicle's equations.
+        `dynamics` is the right-hand side of the vehicle's equations. The control law of the
+        returned object only passes the command on: the command is the control vector. The law has
+        no states of its own.
         """
         n_controls = len(dynamics.control_names)
         return cls(dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0)
@@ -288,13 +289,11 @@ class ClosedLoop:
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
         """Return the CasADi function of the closed loop.
 
-        The function has three inputs: the time-dependent inputs of the equations, the joint state,
-        and the command that the law follows. It has two outputs: the time derivative of the joint
-        state, and the controls. The joint state consists of the vehicle's states, the law's own
-        states, and the integral of the objective's integrand.
+        The inputs are the time-dependent inputs of the equations, the joint state, and the command
+        that the law follows. The outputs are the time derivative of the joint state, and the
+        controls.
 
-        `law` is the control law. `sizes` are the sizes of the three inputs, which `joint_sizes`
-        returns.
+        `law` is the control law. `sizes` are the sizes of the three inputs, from `joint_sizes`.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
@@ -328,9 +327,11 @@ class ClosedLoop:
         """Return the Jacobians of the closed loop's right-hand side at n times.
 
         The right-hand side is the time derivative of the joint state, which the method `rates`
-        returns. Its Jacobians are taken with respect to the time-dependent inputs of the equations,
-        and with respect to the joint state. A control law may have kinks, such as a switch of
-        NumPy's `fmin` between its arguments. At a kink, the derivatives are one-sided.
+        returns. One Jacobian is with respect to the time-dependent inputs of the equations, the
+        other is with respect to the joint state.
+
+        A control law may have kinks, such as a switch of NumPy's `fmin` between its arguments. The
+        derivatives at a kink are one-sided.
 
         Parameters
         ----------

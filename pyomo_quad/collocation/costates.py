@@ -42,10 +42,12 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    The costates at the collocation points are given in two approximations. `stages` comes directly
-    from the multipliers of the collocation equations. Its order of convergence is lower by 1 than
-    the order of the states. `at_points` is more accurate. It comes from integrating the adjoint
-    equations over each element, with the multipliers on the right-hand side.
+    At the collocation points, there are two approximations of the costates:
+
+    - `stages` comes directly from the multipliers of the collocation equations. Its order of
+      convergence is lower by 1 than the order of the states.
+    - `at_points` is more accurate. It results from integration of the adjoint equations over each
+      element, with the multipliers on the right-hand side.
 
     Attributes
     ----------
@@ -93,7 +95,7 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix that removes a smooth polynomial from values at an element's nodes.
+    """Return the matrix that subtracts a fitted smooth polynomial from values in an element.
 
     An element of degree d has d + 1 nodes: the left end and the d collocation points. A polynomial
     of degree d - 2 is fitted to the values at the nodes by least squares. The matrix maps the
@@ -147,9 +149,9 @@ def costates_of(
     multipliers : Multipliers
         Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of unknowns and constraints. A bound on a state may be imposed at a single time only.
-        The costate may then jump at this time. The multiplier of such a bound is left out of the
-        adjoint equations, which hold between the jumps.
+        Bounds of unknowns and constraints. A bound that a state has at a single time only can make
+        the costate jump at this time. The adjoint equations hold between such jumps, and therefore
+        do not contain the multiplier of this bound.
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
@@ -190,11 +192,11 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gradients of a weighted sum of path equations and integrands.
+    """Return two gradients that occur in the adjoint equations of the costates.
 
-    A path equation is a constraint that is imposed at every collocation point. The integrands are
-    those of the model's integrals. The sum is formed at each collocation point. Its gradients occur
-    in the adjoint equations of the costates.
+    At each collocation point, a weighted sum of path equations and integrands is formed. A path
+    equation is a constraint that is imposed at every collocation point. The integrands are those of
+    the model's integrals. The function returns the gradients of the weighted sum.
 
     Parameters
     ----------
@@ -227,8 +229,10 @@ def _bound_multipliers(
     """Return the multipliers of the bounds on states at the collocation points.
 
     The result has shape (n_points, n_states). An entry is the multiplier of the upper bound minus
-    the multiplier of the lower bound. An entry is 0 if the state is fixed at the point. An entry is
-    also 0 if the bound is imposed at a single time only, such as an end condition.
+    the multiplier of the lower bound. The entry is 0 in two cases:
+
+    - the state is fixed at the point;
+    - the bound is imposed at a single time only, such as an end condition.
 
     `program` is the nonlinear program on one mesh. `multipliers` are the multipliers of its
     constraints and bounds. `bounds` are the bounds of its unknowns and constraints.
@@ -250,22 +254,20 @@ def costate_errors_of(
 ) -> FloatArray:
     """Estimate the largest relative error of each costate over the horizon.
 
-    The error is relative to the magnitude of the costate, `costates.sizes`.
+    The error is relative to the magnitude of the costate, `costates.sizes`. It is the largest of
+    three estimates:
 
-    The estimate is the largest of three errors:
-
-    - Integration. `costates` holds two approximations at the collocation points: `stages` and
-      `at_points`. The multipliers give `stages` directly. Integration of the adjoint equations,
-      with `stages` on the right-hand side, gave `at_points`. This function integrates the adjoint
-      equations again, with `at_points` on the right-hand side. The error is twice the difference
-      between the results of the two integrations.
-    - Jumps. A limit on a state may become active or inactive inside an element. A costate may then
-      jump at an unknown time in the element. The multipliers of the limits cause a part of the
-      change of the costate over the element. A smooth polynomial is fitted to this part. If the
-      residual of the fit exceeds 2 % of the part, a jump is possible, and the error is the whole
-      part. Otherwise the error is the residual.
-    - Effect of jumps. By the adjoint equations, the error of jumps in one costate causes errors of
-      other costates in the same element.
+    - Error of the integration. `costates.at_points` results from integration of the adjoint
+      equations with `costates.stages` on the right-hand side. Here the adjoint equations are
+      integrated again, with `costates.at_points` on the right-hand side. The estimate is twice the
+      difference between the two results.
+    - Error from jumps. A limit on a state may become active or inactive inside an element. The
+      costate may then jump at an unknown time in the element. Let g be the part of the costate's
+      change over the element that the multipliers of the limits cause. A smooth polynomial is
+      fitted to g. If the residual of the fit is at most 2 % of g, the estimate is the residual.
+      Otherwise g may contain a jump, and the estimate is the magnitude of g.
+    - Effect on other costates. The adjoint equations couple the costates. An error from a jump in
+      one costate therefore causes errors of other costates in the same element.
 
     See docs/theory/transcription.md, eq. (13).
 

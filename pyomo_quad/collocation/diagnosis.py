@@ -1,4 +1,4 @@
-"""Diagnosis of a failed solve: most violated equations, active limits, and least relaxation.
+"""Diagnosis of a failed solve: violated equations, active limits, and least relaxation.
 
 The least relaxation is the least amount by which the model's limits must be relaxed to satisfy all
 equations.
@@ -43,10 +43,10 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    Here `value` is the value of a constraint or of an unknown of the nonlinear program. A family
-    consists of all limits that one component of the Pyomo model declares. Each family has one
-    slack, a non-negative number. The diagnosis determines the least slacks by solving another
-    nonlinear program, the elastic program.
+    Here `value` is the value of a constraint or of an unknown of the nonlinear program. The limits
+    are grouped into families: a family consists of all limits that one component of the Pyomo model
+    declares. All limits of a family have the same slack, a non-negative number. The diagnosis
+    computes the least slacks by another nonlinear program, the elastic program.
 
     Attributes
     ----------
@@ -61,8 +61,8 @@ class SoftRows:
     limit : ndarray, shape (n,)
         Value of the limit.
     size : ndarray, shape (n,)
-        Reference magnitude: the larger of two numbers. The first is the magnitude of the limit. The
-        second is the reciprocal of the scaling factor of the limited constraint or unknown.
+        Reference magnitude, max(abs(limit), 1 / factor). Here `factor` is the scaling factor of the
+        limited constraint or unknown.
     names : tuple of str
         Names of the families.
     """
@@ -102,7 +102,7 @@ class SoftRows:
         Raises
         ------
         TranscriptionError
-            If these components declare no limits.
+            If none of these components declares a limit.
         """
         entries = [*_soft_unknowns(limits, scaling), *_soft_program_rows(program, bounds, scaling)]
         chosen = [
@@ -133,16 +133,15 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    Each limit gives an upper and a lower one-sided limit for each of its unknowns. The value of a
-    one-sided limit that the model does not declare is infinite.
+    For each unknown, a limit gives two one-sided limits: an upper and a lower limit. A side that
+    the model does not limit has an infinite value.
 
     Parameters
     ----------
     limits : list of Limit
         Limits on unknowns that the Pyomo model declares.
     scaling : Scaling
-        Scaling factors of the unknowns. The reciprocal of an unknown's factor is the reference
-        magnitude, relative to which a violation of the limit is measured.
+        Scaling factors of the unknowns. The reference magnitude of an unknown is 1 / factor.
 
     Yields
     ------
@@ -163,9 +162,9 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
 
-    The limits are those of path inequalities at each collocation point, and those of conditions at
-    single times, such as boundary conditions. Each constraint gives an upper and a lower one-sided
-    limit. The value of a one-sided limit that the model does not declare is infinite.
+    The constraints are path inequalities at each collocation point, and conditions at single times,
+    such as boundary conditions. Each constraint gives an upper and a lower one-sided limit. A side
+    that the model does not limit has an infinite value.
 
     Parameters
     ----------
@@ -174,8 +173,7 @@ def _soft_program_rows(
     bounds : Bounds
         Lower and upper limits of the constraints.
     scaling : Scaling
-        Scaling factors of the constraints. The reciprocal of a constraint's factor is the reference
-        magnitude, relative to which a violation of the limit is measured.
+        Scaling factors of the constraints. The reference magnitude of a constraint is 1 / factor.
 
     Yields
     ------
@@ -216,8 +214,8 @@ class Residual:
     name : str
         Full name of the equation.
     element : int, optional
-        Index of the element in which the equation is violated, from 0. None for an equation that is
-        not imposed at every collocation point, such as a condition at a single time.
+        Index of the element in which the equation is violated, from 0. None for an equation that
+        belongs to no single element, such as a condition at a single time.
     time : float, optional
         Physical time at which the equation is violated; None if `element` is None.
     violation : float
@@ -250,8 +248,8 @@ class ActiveLimit:
     name : str
         Name of the component that declares the limit.
     limit : float
-        Value of the limit. If the component declares several limits, for example over time, the
-        value of the first that is active.
+        Value of the limit. If several limits of the component are active, for example at several
+        times, the value of the first of them.
     unit : str
         Unit of the limit, "" if it has none.
     share : float
@@ -272,9 +270,11 @@ class Relaxation:
     """Amount by which a component's limits are relaxed to make an infeasible problem feasible.
 
     A component is a constraint or a variable of the Pyomo model. All limits of a component share
-    one relaxation. The limits of several components may have to be relaxed together. A diagnosis
-    divides each relaxation by the magnitude of the component's limits, and minimises the sum of
-    these ratios. An object of this class is the relaxation of one component.
+    one relaxation; an object of this class is the relaxation of one component.
+
+    To make the problem feasible, the limits of several components may have to be relaxed together.
+    The diagnosis divides the relaxation of each component by the magnitude of its limits, and
+    minimises the sum of these ratios.
 
     Attributes
     ----------
@@ -310,9 +310,9 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Least sum of relaxations with which all equations can be satisfied; dimensionless. The sum
-        has one relaxation for each component of the model that declares limits, relative to the
-        magnitude of these limits. Infinite if the computation did not converge.
+        Least sum of relative relaxations with which all equations can be satisfied; dimensionless.
+        The sum has one term for each component of the model that declares limits: the relaxation
+        divided by the magnitude of the limits. Infinite if the computation did not converge.
     relaxations : tuple of Relaxation
         Relaxations of the components whose limits must all be relaxed to make the problem feasible.
         Empty if all limits can be satisfied.
@@ -330,7 +330,8 @@ class Diagnosis:
     def is_infeasible(self) -> bool:
         """Whether the problem has no feasible point near the best iterate of the failed solve.
 
-        The result is also False if the diagnosis could not compute the least violation.
+        The result is True if the diagnosis converged, and limits must be relaxed. It is False if
+        the diagnosis found a feasible point, or did not converge.
         """
         return np.isfinite(self.least_violation) and self.feasible_point is None
 
@@ -403,17 +404,15 @@ def diagnose(
 
 
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
-    """Solve the elastic program: minimise the sum of the slacks by which limits are relaxed.
+    """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
     The original program is the nonlinear program of the failed solve. The elastic program has the
-    same constraints, but relaxes the limits by non-negative slacks. A family consists of all limits
-    that one component of the Pyomo model declares. Each family has one slack, an upper bound on the
-    relative violation of each limit in the family.
+    same constraints, but its limits are relaxed by slacks. A family consists of all limits that one
+    component of the Pyomo model declares. Each family has one slack s >= 0. The relative violation
+    of each limit in the family must not exceed s. The program expresses this in two ways:
 
-    For each limit on a constraint, the elastic program has an additional unknown, the relative
-    violation of this limit, and a constraint: the violation must not exceed the family's slack. For
-    each limit on an unknown, the elastic program has a constraint that contains the slack, but no
-    additional unknown.
+    - Limit on a constraint: the relative violation v is an added unknown, constrained to v <= s.
+    - Limit on an unknown: an added constraint contains this unknown and s.
 
     Parameters
     ----------
@@ -481,8 +480,8 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
     """Return the ten equations with the largest scaled violations at the best iterate.
 
     The best iterate is the point with the least constraint violation that the failed solve found.
-    It is stored in `solution`, the result of the failed solve. The largest violation comes first.
-    Satisfied equations are left out.
+    It is stored in `solution`. The largest violation comes first. Satisfied equations are left out,
+    so that the result may have fewer than ten items.
     """
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
@@ -508,8 +507,8 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
     """Return the limits that are active at the best iterate, one item per model component.
 
     The best iterate is the point with the least constraint violation that the failed solve found.
-    It is stored in `solution`, the result of the failed solve. `soft` has the one-sided limits to
-    examine. Limits on unknowns with a fixed value are left out.
+    It is stored in `solution`. `soft` has the one-sided limits to examine. Limits on fixed unknowns
+    are left out.
     """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])

@@ -1,6 +1,6 @@
 """Equations of a Pyomo model as an explicit right-hand side dx/dt = f(t, x, u), for simulation.
 
-The right-hand side also serves to evaluate components of the model along a trajectory.
+The same equations also give the values of model components along a given trajectory.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ class Instants:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         changed : mapping, optional
-            New values of parameters by full name. The rates and the algebraic variables in
-            `inputs` are not computed again. They must therefore not depend on these parameters.
+            New values of parameters by full name. The rates and the algebraic variables in `inputs`
+            keep their values, and must be independent of these parameters.
 
         Returns
         -------
@@ -93,8 +93,8 @@ class Instants:
 class Dynamics:
     """Explicit right-hand side dx/dt = f(t, x, u) of a compiled problem, for given parameters.
 
-    Some algebraic variables are determined by equations, and are computed from these equations. The
-    remaining algebraic variables are the controls u.
+    The model has two kinds of algebraic variables. Some are determined by equations, and are
+    computed from these equations. All others are the controls u.
 
     Attributes
     ----------
@@ -133,11 +133,14 @@ class Dynamics:
         """Return the CasADi function of the right-hand side.
 
         The function has four inputs: states; controls; static variables (variables without time);
-        and data (fraction of the horizon and parameters). It has two outputs, each a column. The
-        first has the rates of all states, then the values of the algebraic variables that equations
-        determine. The second has two numbers: the objective's integrand, and the derivative of time
-        with respect to the fraction of the horizon. Rates and integrand are per unit of the
-        fraction of the horizon.
+        and data (fraction of the horizon and parameters). It has two outputs, each a column:
+
+        - the rates of all states, then the values of the algebraic variables that equations
+          determine;
+        - the objective's integrand, then the derivative of time with respect to the fraction of the
+          horizon.
+
+        Rates and integrand are per unit of the fraction of the horizon.
 
         `states` are all states of the model, including states on which nothing depends.
         """
@@ -183,7 +186,7 @@ class Dynamics:
         """Return a right-hand side that solves implicit equations by 20 Newton steps.
 
         In implicit equations, rates (derivatives of the states) or algebraic variables enter
-        nonlinearly. Without implicit equations, this object itself is returned.
+        nonlinearly. If the model has only explicit equations, this object itself is returned.
 
         The 20 Newton steps are written out in CasADi's fast scalar expressions (SX). CasADi's own
         Newton iteration would cost ten times as much as the evaluation of all other equations.
@@ -282,7 +285,7 @@ class Dynamics:
         return np.array([[f, *self._signals(f)] for f in fractions.tolist()])
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols of the type that the right-hand side accepts.
+        """Return a column of CasADi symbols, of the type that the right-hand side accepts.
 
         The symbols are arguments for the method `written`, which returns dx/dt as an expression.
         The type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, otherwise
@@ -454,10 +457,16 @@ class Dynamics:
 
     @property
     def _slopes(self) -> Any:
-        """CasADi function with the inputs of the right-hand side, and three outputs.
+        """CasADi function of the Jacobians of the right-hand side.
 
-        The outputs are the second output of the right-hand side, and the Jacobians of its first
-        output with respect to states and controls. See `_compile` for both outputs.
+        The inputs are those of the right-hand side (see `_compile`). The function has three
+        outputs:
+
+        - a column of the objective's integrand and of the derivative of time with respect to the
+          fraction of the horizon;
+        - the Jacobian, with respect to the states, of the rates and of the algebraic variables that
+          equations determine;
+        - the Jacobian of the same quantities with respect to the controls.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -544,7 +553,7 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return a copy of the equations' data at n times, with new values of some parameters.
+        """Return a copy of the equations' data at n times, in which some parameters are changed.
 
         `data` has one row per time. Its columns are the fraction of the horizon, the time-dependent
         parameters and the constant parameters. `numbers` maps full names of constant parameters to
@@ -629,8 +638,8 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """Names of the states with a given initial value and a free final value.
 
-        States that measure consumption, such as the charge drawn from a battery, are of this kind.
-        They need not be constant in steady flight.
+        An example is the charge drawn from a battery, which measures consumption. These states may
+        change in steady flight.
         """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.
@@ -773,9 +782,10 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    An equality without time derivatives can determine one algebraic variable that occurs in it. A
-    maximum matching assigns variables to equalities. If an equality has several candidates, the
-    variable that is declared later is preferred. Variables that are not assigned are the controls.
+    An equality without time derivatives can determine one of the algebraic variables in it. A
+    maximum matching assigns variables to such equalities. If several variables can be assigned to
+    an equality, the variable that is declared last is preferred. The variables without an assigned
+    equality are the controls.
 
     Parameters
     ----------
@@ -899,9 +909,9 @@ class _Core:
         (unknowns of the nonlinear part, all inputs as one column) -> residual of the nonlinear
         part.
     known : casadi.Function
-        (unknowns of the nonlinear part, all inputs as one column) -> (all unknowns, column of two).
-        The column of two has the objective's integrand, and the derivative of time with respect to
-        the fraction of the horizon.
+        (unknowns of the nonlinear part, all inputs as one column) -> (all unknowns, column of two
+        numbers). The two numbers are the objective's integrand, and the derivative of time with
+        respect to the fraction of the horizon.
     """
 
     inner: Any
@@ -912,9 +922,9 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Rates are the derivatives of the states with respect to the fraction of the horizon. The
-        nonlinear part of the equations is left for Newton's method. The rest is linear in the
-        unknowns that the nonlinear part does not contain, and is solved here symbolically.
+        Rates are the derivatives of the states with respect to the fraction of the horizon.
+        Newton's method will solve the nonlinear part for its unknowns. The linear rest gives all
+        other unknowns, and is solved here symbolically.
 
         Parameters
         ----------
@@ -981,10 +991,12 @@ def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int
     The unknowns of the equations are the rates (derivatives of the states) and the algebraic
     variables that equations determine.
 
-    The nonlinear part has the unknowns that enter any equation nonlinearly, and the equations that
-    contain only these unknowns. The rest has all other unknowns and equations. Newton's method
-    needs as many equations as unknowns. If the nonlinear part has more or fewer equations than
-    unknowns, all equations and all unknowns are put into it, and the rest is empty.
+    The nonlinear part has all unknowns that enter at least one equation nonlinearly, and all
+    equations that contain no other unknowns. The linear rest has the remaining unknowns and
+    equations.
+
+    Newton's method needs as many equations as unknowns. If the numbers differ in the nonlinear
+    part, it receives all equations and all unknowns, and the rest is empty.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Guaranteed ranges (enclosures) of expressions over boxes of variables, by interval arithmetic.
 
-CasADi compiles an expression to a sequence of elementary operations. Each operation is evaluated
-on the lower and upper bounds of its arguments, for many boxes at once (Moore, Interval Analysis,
-1966). Rounding is not directed: an enclosure is accurate to about 1e-14 times the largest magnitude
-of its values.
+A box is a set of intervals, one for each variable. CasADi compiles an expression to a sequence of
+elementary operations. Each operation is evaluated on the lower and upper bounds of its arguments,
+for many boxes at once (Moore, Interval Analysis, 1966). The bounds are rounded as usual, not
+outwards: an enclosure is accurate to about 1e-14 times the largest magnitude of its values.
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ def symbols(*names: str) -> list[Any]:
 
 
 class Enclosure:
-    """Lower and upper bounds of expressions, and of a gradient, over boxes of their variables.
+    """Lower and upper bounds, over boxes of variables, of expressions and of one gradient.
 
     The gradient is that of the first expression with respect to the variables.
 
@@ -170,10 +170,10 @@ class Enclosure:
     def values_over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> Interval:
         """Return lower and upper bounds of the expressions over n boxes, without the gradient.
 
-        The method costs less than `over`. `low` and `high` are the lower and upper ends of the
-        variables' intervals, shape (n_variables, n). `numbers` are the values of the symbols with
-        single values, shape (n_numbers,). Lower and upper bounds have shape (n_expressions, n)
-        each.
+        The computation costs less than that of `over`. `low` and `high` are the lower and upper
+        ends of the variables' intervals, shape (n_variables, n). `numbers` are the values of the
+        symbols with single values, shape (n_numbers,). The returned lower and upper bounds have
+        shape (n_expressions, n) each.
         """
         return self._values.over(low, high, numbers)[0]
 

@@ -1,8 +1,8 @@
 """First solve of a problem, on its initial mesh, with fallback strategies if it fails.
 
-The table `strategies.STRATEGIES` lists strategies for several parts of a solve. This module carries
-out the strategies for one part, the solve on the initial mesh, for models with one horizon or
-several. Fallback strategies change the initial point, the mesh or the settings of Ipopt.
+Fallback strategies change the initial point, the mesh or the settings of Ipopt. The table
+`strategies.STRATEGIES` lists them, with the strategies for the other parts of a solve. This module
+handles models with one horizon or several.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Result of the solve that the caller requested and that failed, with a verdict.
+        """Result of the failed solve that the caller requested, with a verdict on feasibility.
 
         The verdict states whether the problem is infeasible near the last iterate. The constraint
         violation is minimised at the first access; later accesses return the cached result.
@@ -93,7 +93,7 @@ class FirstSolve(Search[S], Generic[S]):
     def failed(self) -> S:
         """Result of the failed solve with the caller's own start, mesh and settings.
 
-        The result contains no verdict on the feasibility of the problem (see `judged`).
+        The property `judged` has the same result with a verdict on the feasibility of the problem.
 
         Raises
         ------
@@ -112,8 +112,7 @@ class FirstSolve(Search[S], Generic[S]):
 
         - `Fact.JUDGED`: the solve that the caller requested has failed, and the feasibility of the
           problem has been examined since;
-        - `Fact.POSSIBLE`: the feasibility has been examined, and the problem was not found
-          infeasible.
+        - `Fact.POSSIBLE`: the feasibility has been examined, and the problem may be feasible.
 
         For any other condition the result is False. The subclass for one horizon evaluates more
         conditions.
@@ -126,9 +125,8 @@ class FirstSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S | None:
         """Solve with the initial point, mesh and settings of Ipopt that a strategy prescribes.
 
-        `strategy` is the strategy: the solve that the caller requested, or a fallback. The result
-        is the solution, converged or failed; it is None if the strategy does not apply to this
-        problem.
+        `strategy` is the solve that the caller requested, or a fallback. The result is the
+        solution, converged or failed. It is None if the strategy does not apply to this problem.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -161,9 +159,9 @@ class FirstSolve(Search[S], Generic[S]):
         Returns
         -------
         Solution, JointSolution or None
-            Converged or failed result. If the caller gave a tolerance, the result on the last of
-            the refined meshes. A subclass returns None if the problem has no initial point of the
-            kind `first`.
+            Converged or failed result. If the caller gave a tolerance, the result on the last
+            refined mesh. A subclass returns None if the problem has no initial point of the kind
+            `first`.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -171,12 +169,13 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        A successful result always ends the search. The failed result of a fallback strategy never
-        ends the search. The failed result of the solve that the caller requested ends the search in
-        two cases:
+        Whether the search ends depends on the result:
 
-        - the solve diverged, because the problem is unbounded;
-        - the caller's settings of Ipopt allow fewer than 200 iterations.
+        - A successful result always ends the search.
+        - A failed result of a fallback strategy never ends the search.
+        - A failed result of the solve that the caller requested ends the search if the solve
+          diverged, because the problem is unbounded. It also ends the search if the caller's
+          settings of Ipopt allow fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
@@ -187,9 +186,9 @@ class FirstSolve(Search[S], Generic[S]):
     def failure(self, last: S) -> S:
         """Return the result to report if all strategies have failed.
 
-        The result is that of the solve that the caller requested, with a verdict that states
-        whether the problem is infeasible near the last iterate. `last`, the result of the
-        strategy tried last, is not used.
+        This is the result of the solve that the caller requested, with a verdict that states
+        whether the problem is infeasible near the last iterate. `last`, the result of the strategy
+        tried last, is not used.
         """
         del last
         return self.judged
@@ -203,13 +202,13 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     ----------
     bounds_of : callable
         Function from a nonlinear program on one mesh (a `Transcription`) to the bounds of its
-        unknowns and constraints. The bounds include all conditions (constraints at single times),
-        even redundant conditions, which follow from other equations.
+        unknowns and constraints. The bounds of all conditions (constraints at single times) are
+        included, also those of conditions that follow from other equations.
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
         trajectory. The function returns None if the model has controls or free initial states,
-        because a simulation would need values of them. The attribute is None if the caller gave a
-        guess or a warm start, or gave no tolerance.
+        whose values a simulation would need. The attribute itself is None unless the caller gave a
+        tolerance, but neither a guess nor a warm start.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None
@@ -281,10 +280,10 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         Returns
         -------
         Solution or None
-            Converged or failed result. If the caller gave a tolerance, the result on the last of
-            the refined meshes. None if the problem has no initial point of the kind `first`. For
-            `First.REDUCED`, also None if the solve fails, or if its solution violates a condition
-            that was left out.
+            Converged or failed result. If the caller gave a tolerance, the result on the last
+            refined mesh. None if the problem has no initial point of the kind `first`.
+            `First.REDUCED` also gives None if the solve fails, or if its solution violates a
+            condition that was left out.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
@@ -302,17 +301,22 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _simulated(self) -> Any:
         """Return a trajectory simulated from the initial states, as an initial point.
 
-        The result is None if the model has controls or free initial states. The result is also None
-        if the caller gave a guess or a warm start, or gave no tolerance.
+        The result is None in three cases:
+
+        - the model has controls or free initial states;
+        - the caller gave a guess or a warm start;
+        - the caller gave no tolerance.
         """
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:
-        """Return the result `found` of a solve, with an added message in two special cases.
+        """Return the result `found` of a solve, with a message in two special cases.
 
-        A solve that diverged gets a message that names the unbounded variable. A successful solve
-        of a model with more equations than free unknowns gets a note on the redundant equations. In
-        all other cases `found` is returned unchanged.
+        - If the solve diverged, the message names the unbounded variable.
+        - If the solve was successful, but the model has more equations than free unknowns, a note
+          states that some of the equations follow from others.
+
+        In all other cases `found` is returned unchanged.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)
@@ -321,13 +325,12 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         """Solve without redundant conditions, and check that the solution satisfies them.
 
         A condition is a constraint at a single time. A condition is redundant if it follows from
-        the other equations, for example an end condition on a conserved quantity. If redundant
-        conditions are imposed on a coarse mesh, the problem on this mesh may have no solution, or
-        spurious solutions.
+        the other equations. An example is an end condition on a conserved quantity. On a coarse
+        mesh, the problem with redundant conditions may have no solution, or spurious solutions.
 
-        First, the constraint violation is minimised near the caller's warm start or guess. The
-        redundant conditions are detected at the resulting point, and the solve starts from this
-        point.
+        First, the constraint violation is minimised near the caller's warm start or guess. At the
+        resulting point, the redundant conditions are detected. The solve without these conditions
+        starts from there.
 
         Parameters
         ----------

@@ -50,18 +50,19 @@ if TYPE_CHECKING:
 
 
 class WrittenComponents:
-    """Model components over time as CasADi expressions, available without the Pyomo model.
+    """CasADi expressions of model components over time, available without the Pyomo model.
 
-    An object of this class replaces a `TemplateWriter` in a problem that is restored from a pickle.
-    A `TemplateWriter` translates components on demand and needs the Pyomo model, which a pickle
-    does not contain. This class holds the finished translations of all components.
+    A `TemplateWriter` translates components on demand, and needs the Pyomo model for this. A pickle
+    of a problem does not contain the Pyomo model. In a problem that is restored from a pickle, an
+    object of this class replaces the `TemplateWriter`: it holds the finished translations of all
+    components.
 
     Parameters
     ----------
     written : dict
         Keys are (full name, index without time): for ``x[i, t]`` with the time t, the index without
-        time is (i,). Values are the CasADi expression of the component, or a text with the reason
-        why it cannot be written as an expression.
+        time is (i,). A value is the CasADi expression of the component. If there is no such
+        expression, the value is a text with the reason.
     """
 
     def __init__(self, written: dict[tuple[str, tuple[Any, ...]], Any]) -> None:
@@ -142,13 +143,12 @@ class Evaluator:
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the recipe by which `pickle` stores this evaluator, as Python's protocol requires.
+        """Return the recipe by which `pickle` stores and restores this evaluator.
 
-        The recipe holds the expressions of all components of the model, and the symbols of the
-        evaluator's inputs. For a component that cannot be written as an expression, the recipe
-        holds the reason. CasADi expressions cannot be pickled. They are therefore serialised into
-        one text. The recipe contains neither the Pyomo model nor compiled functions. The restored
-        evaluator compiles the functions again at first use.
+        The recipe holds the symbols of the evaluator's inputs, and the expressions of all
+        components of the model. For a component without an expression, it holds the reason. CasADi
+        expressions cannot be pickled, and are therefore serialised into one text. The compiled
+        functions are not stored. The restored evaluator compiles them again at first use.
 
         Returns
         -------
@@ -165,10 +165,10 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return this evaluator itself, because all copies of a formulation use the same evaluator.
+        """Return this evaluator itself, which all copies of a formulation can share.
 
-        An evaluator holds no parameter values, and therefore need not be copied. `memo` is required
-        by the protocol of `copy.deepcopy`, and is not used.
+        An evaluator holds no parameter values, and needs no copy. `memo` is required by the
+        protocol of `copy.deepcopy`, and is not used.
         """
         return self
 
@@ -269,10 +269,11 @@ _NEWTON_TOLERANCE = 1e-13
 
 
 class OutputStates:
-    """Solver for the output states: states that neither objective nor other equations depend on.
+    """Solver for the output states, which affect neither the objective nor other equations.
 
-    Output states, for example an energy that is only reported, are left out of the nonlinear
-    program. For a given solution this class solves their collocation equations by Newton's method.
+    An example of an output state is an energy that is only reported. Output states are left out of
+    the nonlinear program. For a given solution of the program, this class solves the collocation
+    equations of the output states by Newton's method.
     """
 
     def __init__(self, compiled: CompiledModel) -> None:
@@ -303,9 +304,11 @@ class OutputStates:
         """Return the CasADi function from parameters to initial values of the output states.
 
         Output states are states on which neither objective nor other equations depend. `declared`
-        are the declarations of the model, with its parameters and output states. The initial value
-        of an output state follows from the condition that the model declares for this state at the
-        start of the horizon. If the model declares no such condition, the initial value is NaN.
+        are the declarations of the model, with its parameters and output states.
+
+        The model may declare a condition for an output state at the start of the horizon. The
+        initial value follows from this condition. Without such a condition, the initial value is
+        NaN.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -330,8 +333,8 @@ class OutputStates:
         parameters : ndarray, shape (n_parameters,)
             Values of the parameters without time.
         fixed : dict
-            Fixed values of variables by (name, fraction of the horizon); they take precedence over
-            initial conditions.
+            Values of fixed variables by (name, fraction of the horizon). A fixed value takes
+            precedence over an initial condition.
         """
         held = np.asarray(self._starts(parameters)).ravel()
         return np.array(
@@ -472,8 +475,9 @@ class Formulation:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return a copy of the formulation together with a copy of its Pyomo model.
 
-        `memo` is the dictionary in which `copy.deepcopy` records the objects copied so far, with
-        the identity of an object as key and its copy as value. This method adds the formulation.
+        `memo` is required by the protocol of `copy.deepcopy`: a dictionary of the objects copied so
+        far. The key is the identity of an object, and the value is its copy. This method adds the
+        formulation.
         """
         memo[id(self)] = other = object.__new__(type(self))
         vars(other).update(deepcopy(vars(self), memo))
@@ -482,8 +486,9 @@ class Formulation:
     def holding(self, model: Any) -> Self:
         """Return a formulation with the same compiled equations and the data of another model.
 
-        Nothing is compiled. The other model must have the same declarations; the values of its
-        parameters, its variables (the initial guess) and its suffix `scaling_factor` may differ.
+        Nothing is compiled. The other model must have the same declarations. Three things may
+        differ: the values of parameters, the values of variables (the initial guess), and the
+        suffix `scaling_factor`.
         """
         other = object.__new__(type(self))
         vars(other).update(vars(self))
@@ -512,8 +517,13 @@ class Formulation:
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
         """Return the fractions of the horizon at which an element of every mesh must end.
 
-        The result has, in increasing order, the fractions between 0 and 1 at which a constraint at
-        a single time is imposed, a variable is fixed, or a time-dependent parameter jumps.
+        The result lists, in increasing order, the fractions between 0 and 1 at which one of these
+        occurs:
+
+        - a constraint at a single time is imposed;
+        - a variable is fixed;
+        - a time-dependent parameter jumps.
+
         `instance` is the data of one solve, which include the times of the jumps.
         """
         declared = self.compiled.declared
@@ -572,9 +582,9 @@ class Formulation:
     def data_at_starts(self, instance: Instance) -> FloatArray:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
-        A jump is a discontinuity of a time-dependent parameter. The function `bounds_of` of the
-        module `program.bounds` needs these values to evaluate the bounds of variables at these
-        times. `instance` holds the parameter values of one solve.
+        A jump is a discontinuity of a time-dependent parameter. The bounds of variables at these
+        times depend on the returned values; the function `bounds_of` of the module `program.bounds`
+        evaluates the bounds. `instance` holds the parameter values of one solve.
 
         The result has shape (1 + n_jumps, n_data). The columns are the fraction of the horizon, the
         time-dependent parameters and the constant parameters.
@@ -600,7 +610,7 @@ class Formulation:
         """Return the mapping between fractions of the horizon and physical time.
 
         Free times are physical times that the solve determines. They divide the horizon into
-        phases. The mapping is linear in each phase.
+        phases. Within each phase, the mapping is linear.
 
         Parameters
         ----------
@@ -698,10 +708,10 @@ class StructuralIndex:
         Structural index: the number of times by which the equations must be differentiated to
         obtain an ODE; 0 for an ODE.
     differentiated : dict
-        Name of an equation -> number of differentiations with respect to time. After these
-        differentiations, the equations determine the highest derivative of each of their variables.
-        Equations that need no differentiation are left out. The largest number is `index` - 1 for a
-        DAE with algebraic variables.
+        Name of an equation -> number of times by which the equation must be differentiated with
+        respect to time. The equations, differentiated as stated, determine the highest derivative
+        of each variable that they contain. Only equations with a number above 0 are listed. For a
+        DAE with algebraic variables, the largest number is `index` - 1.
     """
 
     index: int
@@ -712,17 +722,16 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
     The structural index is the number of times by which the equations must be differentiated to
-    obtain an ODE; it is 0 for an ODE. The index is also returned as 0 where the method does not
-    apply:
+    obtain an ODE; it is 0 for an ODE. The result also has the index 0 in three cases, in which the
+    method cannot be applied:
 
     - the model has no equations over time;
     - the model has more equations than variables;
-    - the equations cannot be paired with different variables, each equation with a variable that it
-      contains.
+    - it is impossible to assign to each equation a different variable that occurs in the equation.
 
     `declared` are the declarations of the model, with its equations. Controls count as unknowns,
-    like all algebraic variables. An equation whose only variables are states makes the index
-    higher, even if controls influence these states through other equations.
+    like all algebraic variables. An equation that contains states only makes the index higher, even
+    if controls influence these states through other equations.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """

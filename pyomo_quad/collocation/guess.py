@@ -51,7 +51,7 @@ def point_from_trajectory(program: Transcription, trajectory: Trajectory) -> Flo
 def initial_point(
     program: Transcription, bounds: Bounds, values: ModelValues, guess: Guess | None
 ) -> FloatArray:
-    """Return an initial point interpolated between known values and moved inside the bounds.
+    """Return an initial point that is interpolated between known values, inside the bounds.
 
     Known values come from a guess, from `initialize` rules of the model, from the values of its
     variables, and from boundary conditions. Algebraic variables without a known value are computed
@@ -117,9 +117,9 @@ def first_point(
     - The function `initial_point` interpolates a point between known values.
     - The function `on_path_equalities` moves the states until they satisfy the equations that
       contain states alone.
-    - If any constraint, or any derivative of a constraint or of the objective, is NaN at this
-      point, the function `with_consistent_algebraics` adjusts the algebraic variables. The
-      equations then nearly hold at each collocation point.
+    - The function `with_consistent_algebraics` adjusts the algebraic variables, so that the
+      equations nearly hold at each collocation point. This step is only taken if a constraint, or a
+      first derivative of a constraint or of the objective, is NaN.
 
     Parameters
     ----------
@@ -132,8 +132,8 @@ def first_point(
     guess : mapping, DataFrame or Trajectory, optional
         The user's initial values of the variables; see `Guess`.
     seed : int, default 0
-        Seed of random numbers. If `seed` is above 0, a random point between the bounds replaces the
-        interpolated point, before the states are moved. The function `scattered` draws this point.
+        Seed of random numbers. If `seed` is above 0, the function `scattered` draws a random point
+        between the bounds. It replaces the interpolated point of the first step.
 
     Returns
     -------
@@ -147,14 +147,15 @@ def first_point(
 
 @dataclass(frozen=True)
 class _Known:
-    """Known values for an initial point: bounds, values in the Pyomo model, and the user's guess.
+    """Known values for an initial point: fixed values, values in the model, and the guess.
 
     Attributes
     ----------
     program : Transcription
         Nonlinear program on one mesh, for which the initial point is made.
     bounds : Bounds
-        Bounds of the program's unknowns. The value of an unknown with equal bounds is known.
+        Bounds of the program's unknowns. If the two bounds of an unknown are equal, its value is
+        known.
     values : ModelValues
         Reader of the values in the Pyomo model.
     given : mapping or DataFrame
@@ -199,9 +200,9 @@ class _Known:
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        The user's guess, the attribute `given`, is a mapping or a DataFrame. Its entry `name` is a
-        function of time, a constant, or a sequence of samples. The entry "time" of the same mapping
-        has the times of the samples, between which the result is interpolated linearly.
+        The user's guess is the attribute `given`, a mapping or a DataFrame. The entry `name` of the
+        guess is a function of time, a constant, or a sequence of samples. For samples, the entry
+        "time" has their times, and the result is interpolated linearly.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -217,10 +218,10 @@ class _Known:
         return np.interp(times, np.asarray(self.given[TIME_COLUMN], dtype=float), samples)
 
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
-        """Compute algebraic variables without a known value from the equations that define them.
+        """Compute the algebraic variables that equations define and that have no known value.
 
         `z` is the initial point, shape (n_unknowns,). The result is a copy of `z` with the computed
-        values, moved inside the bounds. If a computed value is not finite, the result is `z`
+        values, moved inside the bounds. If any computed value is infinite or NaN, the result is `z`
         itself.
         """
         program, bounds = self.program, self.bounds
@@ -246,10 +247,12 @@ class _Known:
         """Set initial values of the free times, and correct them so that all times increase.
 
         A declared time is a member of the continuous set. A free time is a static variable (a
-        variable without time) whose value replaces a declared time. If neither the model nor the
-        guess has a value of the variable, its initial value is the declared time, moved inside the
-        bounds. The array `z` holds the initial values of all unknowns of the program, and is
-        changed in place.
+        variable without time) that gives the physical time of a declared time. If neither the model
+        nor the guess has a value of this variable, its initial value is the declared time, moved
+        inside the bounds.
+
+        The array `z` holds the initial values of all unknowns of the program, and is changed in
+        place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -273,10 +276,10 @@ class _Known:
 
 
 def _are_fixed(bounds: Bounds, columns: Any) -> NDArray[np.bool_]:
-    """Return for each of the given unknowns whether its two bounds are equal.
+    """Return whether the two bounds are equal, for each of several unknowns.
 
-    `columns` are the positions of the given unknowns in the nonlinear program. The result has the
-    shape of `columns`.
+    `columns` are the positions of these unknowns in the nonlinear program. The result has the shape
+    of `columns`.
     """
     return np.asarray(bounds.lower[columns] == bounds.upper[columns])
 
@@ -330,9 +333,9 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     An example of such an equation is a path that a vehicle must follow. Afterwards, the algebraic
     variables are adjusted to the moved states.
 
-    Equations among states alone have index 2: they contain neither rates nor controls. The
-    derivatives of such equations give Ipopt little information on the rates and controls that the
-    path requires. For this reason, the states are moved before Ipopt starts.
+    These equations contain neither rates nor controls, and have index 2. Their derivatives
+    therefore tell Ipopt little about the rates and controls that the path requires. For this
+    reason, the states are moved before Ipopt starts.
 
     Parameters
     ----------
@@ -396,10 +399,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
     time, four random values at equally spaced times are drawn, and interpolated linearly. The
     distribution depends on the bounds of the variable:
 
-    - If both bounds are less than 1e6 in magnitude, the random values are uniformly distributed
-      between the bounds. They replace the values in the given point `z`.
-    - Otherwise the random values are normally distributed with mean 0, and are added to the values
-      in `z`. Their standard deviation is the largest magnitude of the variable in `z`, at least 1.
+    - If both bounds are below 1e6 in magnitude, the random values are uniformly distributed between
+      the bounds, and replace the values in the given point `z`.
+    - Otherwise, the random values are normally distributed with mean 0, and are added to the values
+      in `z`. The standard deviation is the largest magnitude of the variable in `z`, at least 1.
 
     Parameters
     ----------
@@ -442,14 +445,13 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number` of an unknown, moved inside the unknown's bounds.
 
-    `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among all
-    unknowns. A `number` inside the unknown's bounds is returned unchanged. If `number` is NaN or
-    lies outside the bounds, the result depends on the two bounds:
+    `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among
+    them. If `number` lies inside the bounds, it is returned unchanged. If it is NaN or lies
+    outside, the result is:
 
-    - If both bounds are finite, the result is the middle between them.
-    - If one bound is finite, the result is this bound.
-    - If neither bound is finite, the result is infinity, the upper bound. This case occurs only if
-      `number` is NaN.
+    - the middle between the bounds, if both are finite;
+    - the finite bound, if only one is finite;
+    - infinity, if neither is finite. In this case, `number` is NaN.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
@@ -468,7 +470,7 @@ def known_names(declared: Declarations) -> set[str]:
 
 
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
-    """Raise an error if a user's guess contains a name that is no variable of the model.
+    """Raise an error if a name in a user's guess is no variable of the model.
 
     `guess` has names of variables as keys or columns; "time", for the times of samples, is also
     allowed. `program` is a nonlinear program of the model, from which the names are read.

@@ -65,7 +65,7 @@ class JointSolution(Outcome):
     horizons : dict
         Solution on each horizon, by the name of its continuous set.
     coupling : Solution
-        Values of the variables that belong to no horizon, together with the objective and the
+        Solution of the coupling: the variables that belong to no horizon, the objective, and the
         constraints that concern several horizons or no horizon.
     size : (int, int)
         Number of unknowns and of constraints of the joint nonlinear program.
@@ -114,9 +114,9 @@ class JointSolution(Outcome):
 
     @property
     def warm_start(self) -> tuple[WarmStart, ...]:
-        """Warm start for another solve: one part per horizon, and a last part for the coupling.
+        """Warm start for another solve: one part per horizon, then one part for the coupling.
 
-        Each part holds values of variables and multipliers of constraints. The last part has the
+        Each part holds values of variables and multipliers of constraints. The coupling has the
         variables that belong to no horizon, and the constraints on several horizons or on no
         horizon.
         """
@@ -202,8 +202,8 @@ class JointSolution(Outcome):
         Returns
         -------
         float or ndarray
-            Costate at each time, in the shape of `t`. The cost is the declared objective, or its
-            negative if the objective is to be maximised.
+            Costate at each time, in the shape of `t`. The cost is the declared objective. If the
+            objective is to be maximised, the cost is the negative objective.
 
         Raises
         ------
@@ -231,7 +231,7 @@ class JointProblem(Summarised):
     Attributes
     ----------
     horizons : dict
-        Key: name of a continuous set. Value: the `Formulation` of this horizon, the compiled
+        Name of a continuous set -> `Formulation` of this horizon. The formulation has the compiled
         declarations of the components over the horizon.
     coupling : Formulation
         The objective, and the declarations that concern several horizons or no horizon.
@@ -284,8 +284,8 @@ class JointProblem(Summarised):
         ----------
         mesh : Mesh or mapping, optional
             A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
-            If no `tolerance` is given, the meshes are not refined; otherwise they are the initial
-            meshes of the refinement.
+            If a `tolerance` is given, these are the initial meshes of the refinement. Otherwise
+            they are used unchanged.
         guess : mapping, optional
             Initial values by the name of a variable: a function of time, a constant, or samples at
             the times under the key "time". A key may also be the name of a continuous set. The
@@ -416,13 +416,16 @@ class JointProblem(Summarised):
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Split the user's guess into one guess per horizon, and one for variables of no horizon.
+        """Split the user's guess into one guess per horizon, and a guess for all other variables.
 
-        A key of `guess` is the name of a variable or of a horizon. The value of a variable's key is
-        the guess for this variable. The value of a horizon's key is a mapping with the guesses for
-        the variables of this horizon. This mapping replaces all other guesses for these variables.
-        The result is a list in the order of the horizons; the guess for the variables of no horizon
-        comes last.
+        A key of `guess` is the name of a variable or of a horizon:
+
+        - The value for a variable is the guess for this variable.
+        - The value for a horizon is a mapping with the guesses for the variables of this horizon.
+          It replaces all other guesses for these variables.
+
+        The result is a list in the order of the horizons. The last item is the guess for the
+        variables that belong to no horizon.
 
         Raises
         ------
@@ -441,7 +444,7 @@ class JointProblem(Summarised):
         return [guess.get(name, held) for name, held in zip([*self.horizons, ""], own, strict=True)]
 
     def union(self, meshes: Sequence[Mesh | None], instances: Sequence[Instance]) -> Union:
-        """Return the nonlinear programs of all horizons and of the coupling, joined in a `Union`.
+        """Join the nonlinear programs of all horizons and of the coupling in a `Union`.
 
         The coupling consists of the objective, and of the constraints on several horizons or on no
         horizon. A `Union` holds the positions of all unknowns and constraints in the joint program.
@@ -540,12 +543,13 @@ class JointProblem(Summarised):
     def _judged(
         self, failed: JointSolution, options: SolverOptions, progress: Progress | None
     ) -> JointSolution:
-        """Return a failed solution with a verdict on the feasibility of its problem.
+        """Return a failed solution with a verdict: whether its problem is infeasible.
 
         Ipopt minimises the sum of constraint violations, starting from the last iterate of the
-        solution `failed`. The verdict follows from the least sum. `options` are the settings of
-        Ipopt for the minimisation. The function `progress`, if given, is called at each iteration
-        of the minimisation. If the function returns False, the minimisation stops.
+        solution `failed`. The verdict follows from the least sum.
+
+        `options` are the settings of Ipopt for this minimisation. `progress`, if given, is called
+        at each iteration; returning False stops the minimisation.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -654,13 +658,13 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Write values of one horizon, which the coupling uses, into the unknowns `z`.
+        """Compute the values of one horizon that the coupling uses, and write them to `z`.
 
         The coupling consists of the objective and of the constraints on several horizons. The
         coupling may use a value of a horizon, for example the derivative of a state at the end of
         the horizon. The joint program then has a static variable (a variable without time) for this
         value. This method computes the value from the unknowns of the horizon, and writes it to the
-        static variable's entry in `z`.
+        entry of the static variable in `z`.
 
         Parameters
         ----------
@@ -686,13 +690,14 @@ class JointProblem(Summarised):
 
         An error is raised in two cases:
 
-        - At the point `z`, a constraint, the objective or a derivative of these is not finite.
+        - At the point `z`, a value is infinite or NaN: a constraint, the objective, or a derivative
+          of them.
         - The program has more equations than free unknowns, and its equations are linear and
-          contradict each other. Equations are constraints with equal bounds. Free unknowns are
-          unknowns with unequal bounds.
+          contradict each other. An equation is a constraint with equal bounds. A free unknown has
+          unequal bounds.
 
-        `union` joins the nonlinear programs of all horizons to the joint program, and `bounds` are
-        the bounds of the unknowns and constraints of the joint program.
+        `union` joins the nonlinear programs of all horizons to the joint program. `bounds` are the
+        bounds of the unknowns and constraints of the joint program.
         """
         held = set()
         for k, program in enumerate(union.programs):
@@ -724,10 +729,9 @@ class JointProblem(Summarised):
 
 
 def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = None) -> Any:
-    """Return the compiled problem of a model: a `Problem`, or a `JointProblem`.
+    """Compile a model to a `Problem` or, with several horizons, to a `JointProblem`.
 
-    Each continuous set of the model that is not discretised is a horizon. A model with several
-    horizons gives a `JointProblem`, any other model a `Problem`.
+    A horizon is a continuous set of the model that is not discretised.
 
     Parameters
     ----------
@@ -739,8 +743,8 @@ def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = No
     times : mapping, optional
         Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
         continuous set), and the value is a static variable. The solve determines this variable: the
-        physical time at which the conditions declared at 1.0 hold. For several horizons, the keys
-        are the names of the continuous sets, and each value is such a mapping.
+        physical time at which the conditions declared at 1.0 hold. For several horizons: a mapping
+        from the name of each continuous set to its free times.
 
     Returns
     -------

@@ -44,8 +44,8 @@ class Violation:
 def outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
 
-    Here `bound` is the lower or the upper bound, whichever is violated. The result is 0 where no
-    bound is violated.
+    Here `bound` is the violated bound: the lower bound if the value is below it, or the upper bound
+    if the value is above it. The result is 0 for a value between its bounds.
 
     Parameters
     ----------
@@ -88,8 +88,8 @@ class LimitValues:
     def relative_violations(self) -> FloatArray:
         """Violations at the n times relative to max(1, abs(bound)), shape (n,).
 
-        Here `bound` is the lower or the upper bound at that time, whichever is violated. The
-        violation is 0 where the value lies between the two bounds.
+        Here `bound` is the violated bound at that time, the lower or the upper bound. The violation
+        is 0 for a value between the bounds.
         """
         return outside(self.values, self.lower, self.upper)
 

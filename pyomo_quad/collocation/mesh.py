@@ -57,10 +57,9 @@ class RadauRule:
 def barycentric_weights(nodes: FloatArray) -> FloatArray:
     """Return the barycentric weights of distinct nodes in the unit interval, shape (n_nodes,).
 
-    The weight of a node is the inverse of the product of its differences from all other nodes. Each
-    difference is multiplied by 4, so that the products neither underflow nor overflow at high
-    degree. The number 4 is the inverse of the logarithmic capacity of the interval. The
-    multiplication changes all weights by one common factor, which has no effect on barycentric
+    For the nodes x_j, the weight is w_j = 1 / prod over k != j of 4 (x_j - x_k). The factor 4, the
+    inverse of the logarithmic capacity of the interval, avoids underflow and overflow at high
+    degree. It multiplies all weights by the same number, which cancels in barycentric
     interpolation.
     """
     differences = 4.0 * (nodes[:, None] - nodes[None, :])
@@ -276,8 +275,8 @@ class Timeline:
     """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
     The declared horizon is the range of the continuous set in the Pyomo model. A free time is a
-    physical time that the solve determines. The free times divide the horizon into phases. The time
-    at which a phase ends belongs to that phase.
+    physical time that the solve determines. The free times divide the horizon into phases. The
+    boundary between two phases belongs to the earlier phase.
 
     Attributes
     ----------
@@ -371,8 +370,8 @@ class Timeline:
         """Return the fraction of the declared horizon at one physical time.
 
         The declared horizon is the range of the continuous set in the Pyomo model. The method
-        `fraction` gives the same result, but is several times slower for a single time, because it
-        computes with arrays. Simulations need the fraction in each evaluation of the equations.
+        `fraction` gives the same result for arrays of times. For a single time, this method is
+        several times faster. Simulations call it in each evaluation of the equations.
 
         Parameters
         ----------
@@ -424,8 +423,8 @@ def interpolate(
     ----------
     mesh : Mesh
     values : ndarray, shape (n_points + 1, k) or (n_points, k)
-        Values of k variables at the nodes (start of the horizon and collocation points) if
-        `with_start` is True, and at the collocation points only if it is False.
+        Values of k variables. If `with_start` is True, at the n_points + 1 nodes: start of the
+        horizon and collocation points. If it is False, at the n_points collocation points.
     fractions : ndarray, shape (n,)
         Times as fractions of the horizon.
     with_start : bool
@@ -744,15 +743,18 @@ class Mesh(Summarised):
 
     @cached_property
     def node_fractions(self) -> FloatArray:
-        """Nodes (places of state values) as fractions of the horizon, shape (n_points + 1,).
+        """Nodes as fractions of the horizon, shape (n_points + 1,).
 
-        The nodes are 0 and the collocation points.
+        The nodes are 0 and the collocation points. At the nodes, the states have values.
         """
         return np.concatenate(([0.0], self.point_fractions))
 
     @cached_property
     def quadrature_weights(self) -> FloatArray:
-        """Radau weights of all points times element widths, with sum 1, shape (n_points,)."""
+        """Quadrature weights of all points, shape (n_points,): Radau weights times element widths.
+
+        The sum of the weights is 1.
+        """
         return np.concatenate(
             [self.widths[e] * radau_rule(d).weights for e, d in enumerate(self.degrees)]
         )
@@ -760,8 +762,8 @@ class Mesh(Summarised):
     def locate(self, fractions: FloatArray) -> NDArray[np.intp]:
         """Return the index of the element that contains each of several times.
 
-        A time at an element boundary belongs to the element that ends there. A time that exceeds a
-        boundary only by a rounding error also belongs to the element that ends there.
+        A time at an element boundary belongs to the element that ends there. This also holds for a
+        time that exceeds the boundary by a rounding error only.
 
         Parameters
         ----------

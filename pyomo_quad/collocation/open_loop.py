@@ -1,9 +1,11 @@
-"""Simulation of a vehicle in open loop by compiled Runge-Kutta steps, for many short flights.
+"""Simulation of a vehicle in open loop, by compiled Runge-Kutta steps.
 
 The steps have order 8, with the coefficients and the error estimate of SciPy's `DOP853`. SciPy
-itself calls Python for each of the twelve stages of a step. Here, all stages form one CasADi
-function, which is faster. The simulations of this module are used to compute a plan. SciPy's own
-integrator is used to verify the finished plan.
+itself calls Python for each of the twelve stages of a step. Here all stages form one CasADi
+function. This is faster, especially for many short flights.
+
+While a plan is computed, flights are simulated by this module. The finished plan is verified with
+SciPy's own integrator.
 """
 
 from __future__ import annotations
@@ -103,10 +105,11 @@ class OpenLoopSteps:
     ) -> FloatArray:
         """Return the joint state at the end of a time span that needs several steps.
 
-        A step whose estimated error is above the tolerance is halved. `joint` is the joint state at
-        the start of the span. `span` has the start and the end of the span [s]. `control` returns
-        the controls at an array of times [s]. `tolerance` is the largest error of a step, absolute
-        and relative.
+        A step whose estimated error is above the tolerance is halved.
+
+        `joint` is the joint state at the start of the span. `span` has the start and the end of the
+        span [s]. `control` returns the controls at an array of times [s]. `tolerance` is the
+        largest error of a step, absolute and relative.
 
         Raises
         ------
@@ -133,11 +136,15 @@ class OpenLoopSteps:
     ) -> Iterator[tuple[Any, ...]]:
         """Return the times and the inputs of n Runge-Kutta steps, one tuple per step.
 
-        A tuple holds five items: the start of the step [s], the end of the step [s], the
-        time-dependent inputs of the equations at all stages, the controls at all stages, and the
-        duration of the step [s]. The last three items are inputs of the function that `_step`
-        returns. `starts` and `ends` have the times of the steps [s], shape (n,). `control` returns
-        the controls at an array of times [s].
+        A tuple holds five items:
+
+        - the start and the end of the step [s];
+        - the inputs of the function that `_step` returns, except the joint state: the
+          time-dependent inputs of the equations at all stages, the controls at all stages, and the
+          duration of the step [s].
+
+        `starts` and `ends` have the times of the steps [s], shape (n,). `control` returns the
+        controls at an array of times [s].
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C
@@ -153,11 +160,13 @@ class OpenLoopSteps:
     ) -> tuple[FloatArray, float]:
         """Return the joint state after one step, and the step's error relative to the tolerance.
 
-        `joint` is the joint state before the step. `inputs` are the three further inputs of the
-        function that `_step` returns: the time-dependent inputs of the equations at all stages, the
-        controls at all stages, and the duration of the step [s]. `tolerance` is the largest error,
-        absolute and relative. The returned error is 1 if the estimated error equals the tolerance,
-        and infinite if the new joint state is not finite.
+        The second number is estimated error / tolerance. It is infinite if the new joint state is
+        not finite.
+
+        `joint` is the joint state before the step. `inputs` are the other inputs of the function
+        that `_step` returns: the time-dependent inputs of the equations at all stages, the controls
+        at all stages, and the duration of the step [s]. `tolerance` is the largest error, absolute
+        and relative.
         """
         outputs = self._step(joint[None, :], *(values[None, :] for values in inputs))
         after, high, low = (output[0] for output in outputs)

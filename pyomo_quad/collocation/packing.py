@@ -67,7 +67,7 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return a copy of nested data in which each object of the type `kind` is replaced.
+    """Return a copy of nested data in which all objects of the type `kind` are replaced.
 
     `data` may consist of data classes, tuples and dictionaries, which are searched recursively. The
     function `change` takes an object of the type `kind` and returns its replacement.

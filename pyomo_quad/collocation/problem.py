@@ -59,9 +59,9 @@ _SUBSTEPS, _LARGEST_STATE = 10, 1e12
 class Problem(Summarised, Formulation):
     """Optimal control problem: a Pyomo.DAE model compiled for collocation.
 
-    A problem can be pickled. The restored problem has the parameter values, bounds and initial
-    values that the model held at the time of pickling. The restored problem can solve and evaluate,
-    but does not include the model.
+    A problem can be pickled. The pickle holds the parameter values, bounds and initial values that
+    the Pyomo model has at that time. It does not hold the model itself. A restored problem can
+    solve and evaluate.
 
     Parameters
     ----------
@@ -86,10 +86,10 @@ class Problem(Summarised, Formulation):
     def summary(self) -> dict[str, str]:
         """Objective, numbers of components, and structural index of the DAE, as text by label.
 
-        The following components are counted: states, output states, algebraic variables, static
+        The components that are counted are: states, output states, algebraic variables, static
         variables, equations over time, conditions and parameters. Output states are states on which
         neither the objective nor other equations depend. Conditions are constraints at single
-        times. Numbers equal to 0 are left out. The index is left out if it is 0 or 1.
+        times. Numbers equal to 0 are left out. The index is shown if it is at least 2.
         """
         declared = self.compiled.declared
         counts = {
@@ -201,7 +201,7 @@ class Problem(Summarised, Formulation):
         starts: int,
         instance: Instance,
     ) -> Solution:
-        """Solve from a warm start or guess, with mesh refinement if a tolerance is given.
+        """Solve from a warm start or guess; refine the mesh if a tolerance is given.
 
         Random initial points may be tried first, on the first mesh only (see `starts`).
 
@@ -287,10 +287,13 @@ class Problem(Summarised, Formulation):
         Returns
         -------
         Trajectory or None
-            Simulated trajectory, with states clipped to 1e12 in magnitude. None if the model cannot
-            be simulated, has controls or has a free initial state, or if the simulated states are
-            not finite. Also None if the model has output states: states on which neither the
-            objective nor other equations depend.
+            Simulated trajectory, with states clipped to 1e12 in magnitude. None in each of these
+            cases:
+
+            - the model cannot be simulated, has controls, or has a free initial state;
+            - the model has output states, on which neither the objective nor other equations
+              depend;
+            - the simulated states are infinite or NaN.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -507,8 +510,8 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    The general function `refine` of the module `refining.refinement` solves on refined meshes for
-    several horizons, and takes tuples with one mesh per horizon. This function calls `refine` with
+    The general function `refine` of the module `refining.refinement` handles several horizons, and
+    takes a tuple of meshes, one per horizon. This function calls `refine` for one horizon, with
     tuples of length one.
 
     Parameters

@@ -134,25 +134,25 @@ class PyomoSolver:
             with one continuous set.
         times : mapping, optional
             Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-            continuous set), and the value is a static variable. The solve determines the variable,
-            which is the physical time at which the conditions declared at 1.0 hold. For a model
-            with several continuous sets: name of the set -> mapping of this kind.
+            continuous set), and the value is a static variable. The solve determines this variable:
+            the physical time at which the conditions declared at 1.0 hold. For a model with several
+            continuous sets: name of the set -> mapping of this kind.
         **arguments
             Further arguments of `Problem.solve`, such as `tolerance`, `mesh` and `guess`.
 
         Returns
         -------
         SolverResults
-            In the form that every Pyomo solver returns, for example for
-            `assert_optimal_termination`. The additional attribute `solution_on_mesh` has the
-            trajectories and multipliers on the final mesh: a `Solution`, or a `JointSolution` for
-            a model with several continuous sets.
+            The result that every Pyomo solver returns, for example for
+            `assert_optimal_termination`. Its additional attribute `solution_on_mesh` is a
+            `Solution`, with the trajectories and multipliers on the final mesh. For a model with
+            several continuous sets, it is a `JointSolution`.
 
         Raises
         ------
         TranscriptionError
-            If the model's declarations are incomplete or unsupported, an argument is unknown, or
-            the time limit is not above 0.
+            If the model's declarations are incomplete or unsupported, if an argument is unknown, or
+            if the time limit is not positive.
         """
         del symbolic_solver_labels
         chosen = {**self.options, **(options or {})}
@@ -191,8 +191,8 @@ def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) 
     ----------
     arguments : dict
         Keyword arguments that `PyomoSolver.solve` passes on to the method `solve` of the problem.
-        An argument is unknown if this method does not accept it. The argument `progress` counts as
-        unknown, because `PyomoSolver.solve` sets it itself to print the iterations.
+        An argument that this method does not accept is unknown. The argument `progress` counts as
+        unknown, too: `PyomoSolver.solve` sets it itself, to print the iterations.
     problem : Problem or JointProblem
         Compiled problem.
     """

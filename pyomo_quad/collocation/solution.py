@@ -50,10 +50,10 @@ _JUST_BEFORE = 1e-9
 def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
     """Return a warning if the Hamiltonian varies although the problem is autonomous.
 
-    A problem is autonomous if nothing in it depends on time explicitly. The Hamiltonian is then
-    constant along an optimum, but may jump where a condition holds at a time inside the horizon. If
-    the Hamiltonian varies between these times by more than mesh errors can explain, the costates
-    are wrong.
+    A problem is autonomous if nothing in it depends on time explicitly. Its Hamiltonian is then
+    constant along an optimum. It may jump only at a time inside the horizon at which a condition
+    holds, such as the time of a waypoint. If the Hamiltonian varies otherwise by more than mesh
+    errors can explain, the costates are wrong.
 
     Parameters
     ----------
@@ -153,21 +153,20 @@ class Outcome(Summarised):
     wall_s : float
         Wall-clock time of the last solve [s].
     error_estimate : float
-        Estimated relative error of the states in a single element, the largest over all elements
-        and states; infinite if not estimated.
+        Largest estimated relative error of a state in a single element; infinite if not estimated.
     state_error : float
         Estimated distance of the states from the optimal states, relative to the magnitudes of the
-        states. The errors of all elements are added. Two effects can raise the estimate above this
-        sum: limits that become active or inactive inside elements, and a singular arc, on which the
-        objective is nearly independent of the states. Infinite if not estimated.
+        states. It is at least the sum of the errors of all elements. It can be larger in two cases:
+        limits become active or inactive inside elements, or the solution has a singular arc (zero
+        switching function). On a singular arc, even larger errors of the states hardly change the
+        objective. Infinite if not estimated.
     history : tuple of MeshRecord
         One record per mesh.
     cold_start : ColdStart or None
-        Numbers of iterations that a solve from the guess, without a warm start, took. After a solve
-        from a warm start, this is the record that the warm start contains.
+        Numbers of iterations that a solve from the guess (cold start) took. A solve from a warm
+        start takes these numbers over from the warm start.
     tried : tuple of str
-        Name and result status of each solution strategy that was tried; empty if one strategy was
-        enough.
+        Name and status of each solution strategy that was tried; empty if the first one succeeded.
     """
 
     status: Status
@@ -285,9 +284,8 @@ class Solution(Outcome):
     def _state_and_costate_errors(self) -> dict[str, str]:
         """Return the lines of the solution's summary on the errors of states and costates.
 
-        Each key of the result is the label of a line in the property `summary`, and its value is
-        the text of the line: an estimated error. The result is empty if the errors of the states
-        were not estimated, or if the model has no states.
+        The result maps the label of each line to its text, an estimated error. It is empty if the
+        errors of the states were not estimated, or if the model has no states.
         """
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
@@ -311,10 +309,10 @@ class Solution(Outcome):
     def nominal_objective(self) -> float:
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
-        The result is the larger of two numbers: the magnitude of the objective, and the inverse of
-        the objective's scaling factor. The inverse is the size of the objective's derivatives at
-        the initial point. A penalty term in the objective may make the derivatives far larger there
-        than near the solution. The inverse is therefore limited to 10 max(1, abs(objective)).
+        The value is max(abs(objective), min(1 / s, 10 max(1, abs(objective)))), where s is the
+        scaling factor of the objective. The number 1 / s is the size of the objective's derivatives
+        at the initial point. It is limited because a penalty term may make the derivatives far
+        larger there than near the solution.
         """
         size = abs(self.objective)
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
@@ -336,9 +334,9 @@ class Solution(Outcome):
 
         The boundaries of the attribute `mesh` are instead fractions of the declared horizon, the
         range of the model's continuous set. The two meshes differ only if the solve determines
-        times inside the horizon. A phase between two such times may be, for example, half of the
-        declared horizon but a third of the physical duration. The trajectory's values at the nodes
-        are the same on both meshes.
+        times inside the horizon. These times divide the horizon into phases. For example, a phase
+        may be half of the declared horizon but a third of the physical duration. The values at the
+        nodes are the same on both meshes.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -359,8 +357,8 @@ class Solution(Outcome):
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
         Output states are states on which neither objective nor other equations depend, for example
-        an energy that is only reported. Output states are not unknowns of the nonlinear program,
-        and are computed at first access.
+        an energy that is only reported. They are not unknowns of the nonlinear program, and are
+        computed at first access.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -467,10 +465,16 @@ class Solution(Outcome):
         Returns
         -------
         list of ndarray
-            Five arrays with one row per time: the rates (derivatives of the states with respect to
-            the fraction of the horizon), the states, the algebraic variables, the static variables
-            (without time), and the data (the fraction and the parameters). They are the inputs of
-            the functions that an `Evaluator` compiles for variables and expressions of the model.
+            Five arrays with one row per time:
+
+            - rates: derivatives of the states with respect to the fraction of the horizon;
+            - states;
+            - algebraic variables;
+            - static variables, which do not depend on time;
+            - data: the fraction of the horizon and the parameters.
+
+            The functions that an `Evaluator` compiles for variables and expressions take these
+            inputs.
         """
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
@@ -539,9 +543,9 @@ class Solution(Outcome):
         """Estimated largest error of each costate over the horizon, by the name of its state.
 
         The error is relative to the costate's largest magnitude. A costate may jump where a limit
-        on a state becomes active or inactive. A jump inside an element makes the error as large as
-        the jump. The error is at least `state_error`, the estimated error of the states. The error
-        is therefore infinite if the error of the states was not estimated.
+        on a state becomes active or inactive. If the jump is inside an element, the error is as
+        large as the jump. The error is at least `state_error`, the estimated error of the states,
+        which is infinite if it was not estimated.
         """
         own = costate_errors_of(
             self.program,
@@ -559,9 +563,9 @@ class Solution(Outcome):
         """Warnings about a converged solution, one line each; empty if it has not converged.
 
         The result contains the warnings of the solve (the attribute `notes`), for example that some
-        equations follow from others. If the problem does not depend on time explicitly, its
-        Hamiltonian should be constant. A further warning is added if this Hamiltonian varies by
-        more than mesh errors can explain.
+        equations follow from others. If the problem does not depend on time explicitly, the exact
+        Hamiltonian is constant. The result then has a further warning if the computed Hamiltonian
+        varies by more than mesh errors can explain.
         """
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 
@@ -639,7 +643,7 @@ class Solution(Outcome):
         -------
         DataFrame
             Column "time" comes first, then one column per variable, named as in
-            ``rotors.omega[1]``. A variable of the model that is itself called time becomes "time
+            ``rotors.omega[1]``. If a variable of the model is called "time", its column is "time
             (variable)".
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for

@@ -1,8 +1,8 @@
 """Complete solve from a warm start or a guess, within limits of iterations and time.
 
-A solve from a warm start has a budget of iterations; if the solve exceeds the budget, the problem
-is solved from the guess. A solve that ends early returns the solution on the most accurate mesh
-that was solved.
+A solve from a warm start has a budget of iterations. If the budget is exceeded, the problem is
+solved from the guess instead. A solve that is stopped early returns the solution on the most
+accurate mesh solved so far.
 """
 
 from __future__ import annotations
@@ -38,9 +38,9 @@ S = TypeVar("S", bound=Outcome)
 
 @dataclass(kw_only=True)
 class _WholeSolve(Search[S], Generic[S]):
-    """Solve from a warm start, and from the guess if the solve from the warm start is too slow.
+    """Solve from a warm start; if this is too slow, solve from the guess.
 
-    These two ways to solve are solution strategies, which the base class `Search` tries in order.
+    The base class `Search` tries these solution strategies in order.
 
     Attributes
     ----------
@@ -50,8 +50,8 @@ class _WholeSolve(Search[S], Generic[S]):
     start : Start
         Warm start and guess that the caller gave.
     known : ColdStart, optional
-        Iterations that an earlier solve from the guess took. They are the budget of the solve from
-        the warm start, which may not take more. None for no budget.
+        Iterations that an earlier solve from the guess took. The solve from the warm start may take
+        at most as many (its budget). None for no budget.
     tolerance : float
         Tolerance of the mesh refinement, 0 for a single mesh.
     progress : callable or None
@@ -61,7 +61,7 @@ class _WholeSolve(Search[S], Generic[S]):
     spent : int
         Iterations of the last solve from the warm start.
     has_ended : bool
-        Whether the most recent solve ended by itself, and not because its budget was used up.
+        Whether the most recent solve ended by itself; False if its budget was used up.
     """
 
     solve: Callable[[Start, Progress], S]
@@ -76,9 +76,9 @@ class _WholeSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether `fact`, a condition for trying a solution strategy, is true at present.
 
-        `Fact.WARM_START` is true if the caller gave a warm start. `Fact.COLD_FAILED` is true if the
-        solve from the warm start exceeded its budget, and the solve from the guess that followed
-        has failed.
+        `Fact.WARM_START` is true if the caller gave a warm start. `Fact.COLD_FAILED` is true after
+        two events: the solve from the warm start exceeded its budget, and the following solve from
+        the guess failed.
         """
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
@@ -106,8 +106,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def _cold(self, effort: Effort) -> S:
         """Solve from the guess, without the warm start, and record the number of iterations.
 
-        The record, the attribute `cold_start` of the result, is the budget of later solves from a
-        warm start. `effort` counts the iterations of this solve.
+        The number is recorded in the attribute `cold_start` of the result, and becomes the budget
+        of later solves from a warm start. `effort` counts the iterations of this solve.
         """
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
@@ -123,8 +123,9 @@ class _WholeSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether no further solution strategy needs to be tried.
 
-        A further strategy is tried only if the last solve was stopped because it exceeded its
-        budget of iterations. The result `found` of the last solve is not used.
+        The result is False if the last solve was stopped at its budget of iterations, or if the
+        solve from the guess after it failed. The argument `found`, the result of the last solve, is
+        ignored.
         """
         del found
         return self.has_ended
@@ -138,13 +139,13 @@ def within_budget(
     *,
     is_known: bool = True,
 ) -> S:
-    """Solve from a warm start within a budget of iterations; beyond the budget, from the guess.
+    """Solve from a warm start; if its budget of iterations is used up, solve from the guess.
 
     A warm start is useful only if it is faster than a solve from the guess (cold start). The budget
     is therefore the number of iterations that the cold start took: one number for the first mesh,
     and one for all meshes together. If the solve from the warm start exceeds one of these numbers,
-    the problem is solved from the guess. If the solve from the guess fails, the solve from the warm
-    start is continued from its last iterate, without a budget.
+    the problem is solved from the guess. If this also fails, the solve from the warm start
+    continues from its last iterate, without a budget.
 
     Parameters
     ----------
@@ -154,8 +155,8 @@ def within_budget(
     start : Start
         Warm start and guess. The warm start may contain the recorded iterations of the cold start.
     tolerance : float or None
-        Tolerance of the mesh refinement. The recorded iterations are a budget only if they belong
-        to the same tolerance.
+        Tolerance of the mesh refinement. Recorded iterations for another tolerance are not used as
+        a budget.
     progress : callable or None
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
@@ -186,10 +187,10 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined if the caller gave a tolerance, or gave no mesh. If a refinement is
+    The mesh is refined if the caller gave a tolerance or did not give a mesh. If a refinement is
     interrupted or fails, the solution on the most accurate finished mesh is returned, with the
-    status of the failure. Doubts about the result are recorded in its status and message, for
-    example if an interpolation table is evaluated outside the range of its data.
+    status of the failure. The status and message of the result record doubts about it. An example
+    is an interpolation table that is evaluated outside the range of its data.
 
     Parameters
     ----------
@@ -248,14 +249,13 @@ def carried_out(
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the result of a refinement: the last or, after a failure, the most accurate solution.
+    """Return the result of a refinement: its last solution, or its best one if it was stopped.
 
     Parameters
     ----------
     finished : list of Solution or JointSolution
-        Converged solutions on the meshes of the refinement. A solve may leave out conditions
-        (constraints at single times) that seem to follow from other equations. The solution of such
-        a solve is ignored here.
+        Converged solutions on the meshes of the refinement. Solutions of solves that left out
+        conditions (constraints at single times, presumed redundant) are ignored.
     ended : Solution or JointSolution
         Result with which the refinement ended.
 
@@ -263,8 +263,8 @@ def _finished_of(finished: list[S], ended: S) -> S:
     -------
     Solution or JointSolution
         If `ended` was interrupted or did not converge, the solution in `finished` with the least
-        estimated error. This solution then has the status of `ended`, and a message that names its
-        mesh. In all other cases, and if there is no finished solution, the result is `ended`.
+        estimated error. It gets the status of `ended` and a message that names its mesh. Otherwise,
+        or if `finished` has no usable solution, the result is `ended`.
     """
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
@@ -279,10 +279,10 @@ def _finished_of(finished: list[S], ended: S) -> S:
 
 
 def _in_time(solution: S, deadline: Effort) -> S:
-    """Add a message on the time limit to a solution whose solve was interrupted by that limit.
+    """Add a message to a solution whose solve was interrupted by the time limit.
 
-    `deadline` holds the time limit, and whether the solve exceeded this limit. Any other solution
-    is returned unchanged.
+    `deadline` holds the time limit, and whether the solve exceeded it. If the solve ended for
+    another reason, `solution` is returned unchanged.
     """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution

@@ -1,4 +1,4 @@
-"""Starting points of a solve: an initial guess, or trajectory and multipliers of a solution."""
+"""Starting points of a solve: an initial guess, or a warm start from an earlier solution."""
 
 from __future__ import annotations
 
@@ -90,8 +90,8 @@ class WarmStart:
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
         Multipliers of all other constraints. Most of them are conditions: constraints on values at
-        single times, such as an end condition. The others define those integrals that are unknowns
-        of the nonlinear program.
+        single times, such as an end condition. The others are defining equations of integrals, if
+        the nonlinear program has integrals as unknowns.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -119,9 +119,9 @@ class WarmStart:
         return all(bool(np.all(np.isfinite(array))) for array in self._numbers().values())
 
     def fits(self, compiled: CompiledModel) -> bool:
-        """Return whether the warm start belongs to the same equations as a compiled model.
+        """Return whether the warm start belongs to the equations of a compiled model.
 
-        Fingerprint and array sizes are compared.
+        The fingerprint of the equations and the sizes of the arrays are compared.
 
         Parameters
         ----------
@@ -141,11 +141,10 @@ class WarmStart:
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
         """Interpolate the warm start to another mesh and horizon, at equal physical times.
 
-        A multiplier belongs to a constraint at a collocation point. The multiplier is proportional
-        to the duration that the point represents: the point's quadrature weight times the length of
-        the horizon. Multipliers are therefore divided by the durations of the old points,
-        interpolated in time, and multiplied by the durations of the new points. Multipliers of
-        bounds are kept non-negative.
+        The multiplier of a constraint at a collocation point is proportional to the duration that
+        the point represents: its quadrature weight times the length of the horizon. Multipliers are
+        therefore divided by the durations of the old points, interpolated in time, and multiplied
+        by the durations of the new points. Multipliers of bounds are kept non-negative.
 
         Parameters
         ----------
@@ -331,13 +330,13 @@ class Start:
         horizon, and one for the constraints that couple them.
     guess : mapping, Trajectory or list, optional
         Initial values where there is no warm start. For several horizons: a list with one guess per
-        horizon, and a last guess for the variables of no horizon. By default, the values of the
-        model's variables are the guess.
+        horizon, and a last guess for the variables that belong to no horizon. By default, the guess
+        is the present values of the model's variables.
     seed : int
-        If above 0, the initial point is random between the bounds, generated with this seed.
+        If above 0, the initial point is random between the bounds, drawn with this seed.
     is_elastic : bool
-        Whether the initial point is first replaced by the optimum of the elastic program, in which
-        the equations over time may be violated at a penalty.
+        Whether the solve starts from the optimum of the elastic program. In this program, the
+        equations over time may be violated at a penalty.
     """
 
     warm: Any = None

@@ -36,8 +36,8 @@ class SteppedFlights:
         Times [s].
     joint : ndarray, shape (n_samples, n, n_joint)
         Joint states of each vehicle and its control law. A joint state consists of the states of
-        the vehicle, the states of the control law, and the integral of the objective's integrand
-        from the start of the flight.
+        the vehicle, the states of the control law, and the objective accumulated since the start of
+        the flight.
     controls : ndarray, shape (n_samples, n, n_controls)
         Controls that the control law applies to each vehicle.
     """
@@ -93,8 +93,7 @@ class SteppedLoops:
         times : ndarray, shape (n_steps + 1,)
             Ends of the steps [s].
         start : ndarray, shape (n, n_joint)
-            States of vehicle and law at the first time, with the integral of the objective's
-            integrand.
+            Joint states of vehicle, control law and accumulated objective at the first time.
         command : callable
             Time [s] -> command of the law, the same for all vehicles.
         numbers : sequence of ndarray, shape (n,) or (n_steps, n)

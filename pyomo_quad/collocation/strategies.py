@@ -2,9 +2,9 @@
 
 A whole solve (scope `WHOLE`) starts from a warm start or from the guess. Its first mesh is solved
 by the strategies of the scope `FIRST`, which differ in initial point, mesh and settings of Ipopt.
-The mesh refinement solves each further mesh by the strategies of the scope `MESH`. If Pontryagin's
-principle shows that other controls are better, the strategy of the scope `RESTART` starts the
-refinement again from those controls.
+The mesh refinement solves each further mesh by the strategies of the scope `MESH`. The strategy of
+the scope `RESTART` starts the refinement again from other controls, if these are better by
+Pontryagin's principle.
 """
 
 from __future__ import annotations
@@ -24,8 +24,12 @@ if TYPE_CHECKING:
 class Scope(Enum):
     """Part of a solve in which a strategy is tried.
 
-    The parts are the whole solve, the solve on the first mesh, the solve on each further mesh of
-    the refinement, and a restart of the refinement.
+    The parts are:
+
+    - the whole solve;
+    - the solve on the first mesh;
+    - the solve on each further mesh of the refinement;
+    - a restart of the refinement.
     """
 
     WHOLE = auto()
@@ -37,8 +41,8 @@ class Scope(Enum):
 class Fact(Enum):
     """Condition that must be true before a solution strategy is tried.
 
-    An example is that the caller gave a warm start. The method `Search.holds` evaluates the
-    condition.
+    An example is the condition that the caller gave a warm start. The method `Search.holds`
+    evaluates the conditions.
     """
 
     #: A warm start is given.
@@ -119,15 +123,14 @@ class Strategy:
     is_scaled : bool
         Whether Ipopt solves the scaled program.
     is_firm : bool
-        Whether the damping of the controls (a penalty on their distance from the controls of the
-        previous mesh) is increased, and Ipopt begins with a larger barrier parameter.
+        Whether the damping of the controls is increased, and Ipopt begins with a larger barrier
+        parameter. Damping is a penalty on the distance from the controls of the previous mesh.
     iterations : float or None
         Limit of iterations of the solve on each mesh; infinite for no limit. None only for the
-        strategy "warm start", which solves the whole problem from the caller's warm start. The
-        limits of this strategy are two numbers that the warm start may contain: the iterations that
-        an earlier solve from the guess took on the first mesh, and on all meshes together. If the
-        warm start does not contain these numbers, or if they belong to another tolerance, there is
-        no limit.
+        strategy "warm start", which solves the whole problem from the caller's warm start. Its
+        limits are the iterations that an earlier solve from the guess took, on the first mesh and
+        on all meshes together. The warm start may contain these two numbers. If they are missing or
+        belong to another tolerance, there is no limit.
     times : int
         How often the strategy may be tried.
     """
@@ -146,10 +149,10 @@ class Strategy:
     def settings(self, options: SolverOptions) -> SolverOptions:
         """Return the settings of Ipopt with which the strategy solves.
 
-        `options` are the caller's settings. If the attribute `barrier` of the strategy is None,
-        `options` is returned unchanged. Otherwise the result is a copy of `options` with two
-        changes: `barrier` is the value of `mu_strategy`, and the number of iterations is limited to
-        the attribute `iterations`, unless the caller's limit is lower.
+        `options` are the caller's settings. If the attribute `barrier` is None, they are returned
+        unchanged. Otherwise the result is a copy with two changes: `mu_strategy` has the value
+        `barrier`, and the limit of iterations is the lower of the caller's limit and the attribute
+        `iterations`.
         """
         if self.barrier is None:
             return options
@@ -222,8 +225,8 @@ class Search(ABC, Generic[S]):
     A search tries the strategies of one part of a solve: whole solve, first mesh, next mesh or
     restart (see `Scope`). They are tried in the order in which the table `STRATEGIES` lists them.
 
-    Subclasses define how a strategy is carried out, when its conditions are true, and which results
-    end the search.
+    Subclasses define three things: how a strategy is carried out, whether a condition is true, and
+    which results end the search.
     """
 
     @abstractmethod

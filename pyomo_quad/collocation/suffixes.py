@@ -1,8 +1,10 @@
 """Pyomo's suffixes `dual`, `rc` and `costate`: derivatives of the objective from multipliers.
 
-`dual` holds the derivatives with respect to the constant sides of constraints, `rc` (reduced costs)
-the derivatives with respect to bounds of variables, and `costate` the derivatives with respect to
-states.
+The derivatives are with respect to:
+
+- the constant sides of constraints (`dual`);
+- the bounds of variables (`rc`, reduced costs);
+- the states (`costate`).
 """
 
 from __future__ import annotations
@@ -29,17 +31,19 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
-    The objective is taken as the Pyomo model declares it, whether minimised or maximised. For a
-    constraint, the derivative is with respect to its constant side. For a bound, it is with respect
-    to the value of the bound. For a state, it is the costate: the derivative with respect to the
-    value of the state at one time.
+    The objective is taken as the Pyomo model declares it, whether minimised or maximised. The
+    derivative is with respect to:
+
+    - the constant side of a constraint;
+    - the value of a bound;
+    - the value of a state at one time (the costate).
 
     Attributes
     ----------
     over_time : dict
         Derivatives with respect to components over time: name -> function of time. The argument of
-        the function is a time within the range of the model's continuous set. The derivative is per
-        unit of time for constraints and bounds, and is the costate for states.
+        the function is a time within the range of the model's continuous set. For constraints and
+        bounds, the derivative is per unit of time.
     once : dict
         Derivatives with respect to components that do not depend on time: name -> derivative.
     """
@@ -53,9 +57,9 @@ class Sensitivities:
         `name` is the name of the component, and `price` the function: time -> derivative of the
         objective.
 
-        If a function is stored for the component already, the sum of this function and `price` is
-        stored. This happens for a limit with a lower and an upper side, because each side has its
-        own function. At any time, at least one of the two functions is zero.
+        If the component has a stored function already, `price` is added to it. This happens for a
+        limit with a lower and an upper side: each side has its own function. Only one side can be
+        active at a time; the function of the other side is then zero.
         """
         held = self.over_time.get(name)
         if held is None:
@@ -70,7 +74,7 @@ def load_suffixes(*solutions: Solution) -> None:
     The suffixes hold derivatives of the objective that the Pyomo model declares: with respect to
     the constant side of a constraint (`dual`), to a bound of a variable (`rc`), and to a state
     (`costate`). For a constraint or bound over time, the derivative is per unit of time. A pickled
-    problem has no model; nothing is done for it.
+    problem has lost its model; the function then does nothing.
 
     Parameters
     ----------
@@ -191,8 +195,8 @@ def _widths(solution: Solution) -> FloatArray:
     The points are those of the mesh of `solution`. The duration of a point is its quadrature weight
     times the derivative of physical time with respect to the fraction of the horizon. This
     derivative is normally the length of the horizon. If the solve determines times inside the
-    horizon, each phase between these times has its own derivative. A constraint's multiplier at a
-    point, divided by the duration, is a derivative of the objective per unit of time.
+    horizon, each phase between these times has its own derivative. A multiplier divided by the
+    duration of its point is a derivative of the objective per unit of time.
     """
     mesh = solution.mesh
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)

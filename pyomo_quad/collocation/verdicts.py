@@ -45,8 +45,8 @@ def with_surplus(solution: Solution) -> Solution:
     """Add a note to a successful solution of a model with more equations than free unknowns.
 
     The note states that some of the equations follow from others, and that the multipliers are not
-    unique. The result is a copy of `solution` with the note. Without surplus equations, or if the
-    solve was not successful, `solution` is returned unchanged.
+    unique. The result is a copy of `solution` with the note. If the solve failed, or if there are
+    no more equations than unknowns, `solution` is returned unchanged.
     """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
@@ -125,10 +125,12 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
     Returns
     -------
     Solution
-        Solution at that point. If the least violation is positive, the status becomes "infeasible",
-        and the message names the violated equations. If the least violation is zero although Ipopt
-        reported infeasibility, the status becomes "not converged". Otherwise the status is
-        unchanged.
+        Solution at that point, with one of these statuses:
+
+        - "infeasible" if the least violation is positive; the message then names the violated
+          equations;
+        - "not converged" if the least violation is zero, but Ipopt reported infeasibility;
+        - otherwise the status of `failed`.
     """
     told = replace(
         failed,
@@ -191,8 +193,8 @@ _UNBOUNDED = 1e12
 def diverging_multipliers(solution: Solution) -> tuple[str, ...]:
     """Return the names of the equations over time whose multipliers have diverged.
 
-    Diverging multipliers show that no constraint qualification holds at the solution. The
-    optimality conditions are then meaningless.
+    If multipliers diverge, no constraint qualification holds at the solution, and the optimality
+    conditions are meaningless.
     """
     program, scaling = solution.program, solution.scaling
     if not program.n_points:
@@ -245,9 +247,11 @@ def outside_tables(solution: Solution) -> str:
 def doubted(solution: S) -> S:
     """Return a solution whose status and message record the doubts about it.
 
-    There are three doubts: the problem has no objective; multipliers diverge while the Hamiltonian
-    is not constant; or an interpolation table of the model is evaluated outside the range of its
-    data.
+    Any of these is a doubt:
+
+    - The problem has no objective.
+    - Multipliers diverge, and the Hamiltonian is not constant.
+    - An interpolation table of the model is evaluated outside the range of its data.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
 
@@ -272,8 +276,8 @@ def _undoubted(solution: S) -> S:
     """Change the status of a converged solution if its optimality conditions are meaningless.
 
     The status becomes "tolerance not met" if multipliers diverge and the Hamiltonian is not
-    constant. These two signs together show that the solution may not be an optimum. If the problem
-    depends on time explicitly, its Hamiltonian need not be constant, and the status is unchanged.
+    constant. Together, these two signs cast doubt on the optimum. If the problem depends on time
+    explicitly, the status stays unchanged, because even the exact Hamiltonian varies.
     """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
@@ -290,10 +294,9 @@ def _undoubted(solution: S) -> S:
 def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    A table is an interpolation table of the model. The message of the returned solution names the
-    table. If `solution` has not converged for another reason, its status is kept, and the line on
-    the table is appended to its message. If all tables are evaluated inside their ranges,
-    `solution` is returned unchanged.
+    A table is an interpolation table of the model. The message of the result names the table. If
+    `solution` has failed anyway, it keeps its status, and the line on the table is appended to its
+    message. If all tables are evaluated inside their ranges, `solution` is returned unchanged.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:

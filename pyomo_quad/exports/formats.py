@@ -205,8 +205,8 @@ def _points(motion: Motion, t: FloatArray, make: dict[str, type]) -> list[object
 def sampled_deviation(motion: Motion, rate_hz: float) -> float:
     """Return the largest distance [m] between a plan and a cubic spline through samples of it.
 
-    The spline has the plan's position and velocity at each sample. A ROS 2 trajectory contains only
-    such samples. The distance serves as the deviation of the trajectory from the plan.
+    The spline has the plan's position and velocity at each sample. A ROS 2 trajectory consists of
+    such samples; the distance serves as its deviation from the plan.
 
     Parameters
     ----------
@@ -220,7 +220,7 @@ def sampled_deviation(motion: Motion, rate_hz: float) -> float:
 
 
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
-    """Return the largest distance [m] between a plan and a cubic spline through setpoints.
+    """Return the largest distance [m] between a plan and a cubic spline through its setpoints.
 
     The spline has the position and velocity of each setpoint. The distance is computed at the
     times of the setpoints and halfway between them.
@@ -303,16 +303,16 @@ class Export:
     parts : int
         Number of waypoints, setpoints, trajectory points or polynomial pieces.
     what : str
-        What `parts` counts, such as "setpoints".
+        Name of the counted parts, such as "setpoints".
     position_error_m : float
-        Deviation of the file from the plan: the largest distance between the plan's position and
-        the position of a vehicle that follows the file exactly, at the same time.
+        Deviation of the file from the plan: the largest distance, at equal times, between the plan
+        and a vehicle that follows the file exactly.
     yaw_error_rad : float or None
         Largest deviation from the plan's heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the scenario states no `mission.risk`, the permitted probability that a flight
-        breaks a limit. Without this risk, the plan has no margins from its limits. A controller
-        that corrects disturbances may then break a limit.
+        Whether the plan has no margins from its limits, so that a controller that corrects
+        disturbances may break a limit. A plan has margins only if its scenario states
+        `mission.risk`, the permitted probability that a flight breaks a limit.
     """
 
     path: str
@@ -337,12 +337,11 @@ class _Writer:
     Attributes
     ----------
     write : callable
-        Function that writes a file. Its arguments are the motion, the path of the file, and the
-        accuracy (the value of the option `option`). For a geodetic format, the fourth argument is
-        the origin. The result has four items: the number of parts of the file; the name of the
-        parts, for example "waypoints"; the largest distance from the plan [m]; and the largest
-        deviation from the plan's heading [rad]. The last item is None if the autopilot chooses the
-        heading.
+        Function that writes a file: (motion, path of the file, accuracy) -> result. The accuracy is
+        the value of the option `option`. A geodetic format has the origin as fourth argument. The
+        result has four items: number of parts of the file; name of the parts, for example
+        "waypoints"; largest distance from the plan [m]; largest deviation from the plan's heading
+        [rad]. The last item is None if the autopilot chooses the heading.
     ending : str
         Ending of the default file name.
     option : str
@@ -386,8 +385,8 @@ def export_plan(
 ) -> Export:
     """Write a verified plan in the format of an autopilot, a swarm, a simulator or ROS 2.
 
-    The plan is first simulated again, because the plan in a file may be marked as verified although
-    it is not.
+    The plan is first verified again by simulation, because a file may wrongly claim that its plan
+    is verified.
 
     Parameters
     ----------
@@ -404,8 +403,8 @@ def export_plan(
         sea; by default the origin that the mission gives. Missions of ground stations need an
         origin.
     path_error_m : float, optional
-        Largest permitted distance [m] from the plan of the legs between waypoints, or of the
-        polynomial pieces, for formats with waypoints or pieces. Each format has its own default.
+        For formats with waypoints or polynomial pieces: largest permitted distance [m] between the
+        plan and the legs or pieces. Each format has its own default.
     rate_hz : float, optional
         Setpoints or trajectory points per second, for PX4 and ROS 2; 50 by default.
     is_code_allowed : bool, optional
@@ -419,9 +418,12 @@ def export_plan(
     Raises
     ------
     ScenarioError
-        If there is no verified plan, or the simulation does not confirm the plan. Also if the plan
-        lacks a state that the format needs, an option is not allowed, a limit of the format is
-        exceeded, or the library that writes the format is not installed. Nothing is written.
+        In each of these cases, without any output:
+
+        - There is no verified plan, or the simulation does not confirm the plan.
+        - The plan lacks a state that the format needs, or exceeds a limit of the format.
+        - An option is not allowed for the format.
+        - The library that writes the format is not installed.
     OutputError
         If the output cannot be written.
 
@@ -500,7 +502,7 @@ def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> Geodeti
 
 
 def _refuse_source(path: Path, source: Path) -> None:
-    """Raise an error if writing the export to `path` would replace the plan that is exported.
+    """Raise an error if the export to `path` would overwrite the exported plan itself.
 
     `source` is the file or report folder from which the plan was read.
     """
@@ -529,7 +531,7 @@ def _write_mission(
     spelled : callable
         Function that converts a QGroundControl mission (a mapping) to the text of the format.
     mark : str
-        Text by which a later export recognises that it may replace the file.
+        Text in the file which tells a later export that it may replace the file.
     motion : Motion
         The plan's motion.
     path : Path
@@ -542,8 +544,9 @@ def _write_mission(
     Returns
     -------
     tuple of (int, str, float, None)
-        Number of waypoints, the word "waypoints", and the largest distance of the legs from the
-        plan [m]; None because the file does not prescribe the heading between waypoints.
+        Number of waypoints, the word "waypoints", the largest distance of the legs from the plan
+        [m], and None. The None stands for the deviation of the heading, which the file leaves open
+        between waypoints.
     """
     legs = thin(motion, error_m)
     _write_text(path, spelled(mission(legs, origin, motion, error_m)), mark)

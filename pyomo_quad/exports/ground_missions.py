@@ -110,7 +110,7 @@ class _File:
     Attributes
     ----------
     home : GeodeticOrigin
-        Home position of the mission on earth, from which heights count.
+        Home position of the mission on earth; heights are relative to its altitude.
     items : tuple of _Item
         Commands of the mission, in order.
     fence : mapping
@@ -142,7 +142,7 @@ class _Place:
     release : float
         Mass of the payload that is released at the place [kg].
     is_opened_at : bool
-        Whether the mission opens a gripper at the place.
+        Whether the mission opens a gripper there.
     """
 
     position: dict[str, float]
@@ -163,10 +163,9 @@ def read_mission(
     """Convert a mission file of QGroundControl (.plan) or Mission Planner to a scenario.
 
     The flight of the scenario begins with hovering at the altitude of the take-off and ends with
-    hovering above the landing place; its duration is free. Altitudes above the terrain are treated
-    as heights above the home position, because the ground is assumed to be flat. Exclusion fences
-    become keep-out zones without bottom and top; an inclusion circle becomes a polygon inside the
-    circle.
+    hovering above the landing place; its duration is free. The ground is assumed to be flat, so
+    that an altitude above the terrain counts as a height above the home position. Exclusion fences
+    become keep-out zones without bottom and top. An inclusion circle becomes an inscribed polygon.
 
     Parameters
     ----------
@@ -188,8 +187,8 @@ def read_mission(
     Raises
     ------
     ScenarioError
-        If the file is not a mission, has a command that cannot be converted or left out, or gives
-        an invalid scenario. The message has one line.
+        If the file is not a mission, or the resulting scenario is invalid. Also if the file has a
+        command that can neither be converted nor left out. The message has one line.
 
     Examples
     --------
@@ -426,8 +425,8 @@ def _place_of(
     commands, other places of the mission determine the result:
 
     - A return to the launch place leads to the first place.
-    - A landing leads to a place above the landing point, at the height of the first place: the
-      flight of a scenario ends with hovering, not on the ground.
+    - A landing leads to a place above the landing point, at the height of the first place, because
+      the flight of a scenario ends in hover.
     - A command without latitude and longitude takes both from the last place before it. If there is
       no last place, it takes them from the home position.
 
@@ -558,9 +557,9 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
 def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str, Any]:
     """Return the scenario's table `mission` (TOML): origin, start, goal, waypoints, rally points.
 
-    Unlike waypoints, the start and the goal of a scenario have neither a time of hover nor a
-    radius, but they always have a heading. If the file gives only one of the two headings, start
-    and goal both get this heading. The vehicle then need not turn.
+    The start and the goal of a scenario always have a heading. If the file gives only one of the
+    two headings, both get this heading, so that the vehicle need not turn. In contrast to
+    waypoints, start and goal have no time of hover and no radius.
 
     Parameters
     ----------

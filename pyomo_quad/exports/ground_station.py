@@ -1,11 +1,11 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
-The exported waypoints include the start, the waypoints and the goal of the plan's scenario. All
-other exported waypoints are added for one purpose: the straight legs between them follow the curved
-path of the plan. In QGroundControl's file the added waypoints are marked, so that
-`exports.ground_missions` leaves them out when it converts the file back to a scenario. The files
-are QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions and
-fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
+The exported waypoints include the start, the waypoints and the goal of the plan's scenario. Further
+waypoints are added so that the straight legs between all waypoints follow the curved path of the
+plan. QGroundControl's file marks the added waypoints. `exports.ground_missions` recognises the
+marks and leaves these waypoints out when it converts the file back to a scenario. The files are
+QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions and fences
+of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -91,8 +91,8 @@ class Legs:
     places : ndarray, shape (n, 3)
         Positions x, y, z at these times [m].
     is_of_mission : ndarray of bool, shape (n,)
-        Whether each position is the mission's start, a waypoint of the mission or the goal. An
-        empty array stands for True at every position.
+        Whether each position is the mission's start, goal or one of its waypoints. An empty array
+        means that all of them are.
     """
 
     times: FloatArray
@@ -119,10 +119,10 @@ class Legs:
 def thin(motion: Motion, path_error_m: float) -> Legs:
     """Approximate a plan by few straight legs, within a given distance of the plan at all times.
 
-    At first, each leg leads from one waypoint of the mission to the next. The positions on plan and
-    leg at the same time are compared. A leg that deviates too far is split at the time of its
-    largest deviation, until no leg deviates too far (the top-down time-ratio algorithm of Meratnia
-    and de By, 2004).
+    At first, each leg leads from one waypoint of the mission to the next. The deviation is the
+    distance between the positions on plan and leg at the same time. A leg with too large a
+    deviation is split at the time of its largest deviation, until all legs are close enough. This
+    is the top-down time-ratio algorithm of Meratnia and de By (2004).
 
     Parameters
     ----------
@@ -175,8 +175,8 @@ def mission(
     legs : Legs
         Straight legs from `thin`.
     origin : GeodeticOrigin
-        Position of the plan's origin on earth. It becomes the home position of the file, from whose
-        altitude the heights in the file count.
+        Position of the plan's origin on earth. It becomes the home position of the file; the
+        heights in the file are relative to its altitude.
     motion : Motion
         The plan's motion.
     path_error_m : float
@@ -303,9 +303,9 @@ def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[li
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
     """Return the geofence of a QGroundControl plan file, as nested mappings.
 
-    The geofence consists of the scenario's fence, in which the flight must remain, and of those
-    keep-out zones of the scenario that have neither a bottom nor a top. `origin` is the position of
-    x = y = z = 0 on earth.
+    The geofence consists of the scenario's fence, in which the flight must remain, and of its
+    keep-out zones. Zones with a bottom or a top are left out. `origin` is the position of x = y = z
+    = 0 on earth.
     """
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]

@@ -46,13 +46,12 @@ class ProvenPlan:
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
     trajectories : Trajectories
-        States and controls of the plan. If the plan is read from a report, every column of the
-        report's table is listed both as a state and as a control, because the table does not
-        distinguish states from controls.
+        States and controls of the plan. The table of a report does not say which columns are
+        states. In a plan from a report, every column is therefore both a state and a control.
     is_paper_plan : bool
-        Whether the scenario states no `mission.risk`, the permitted probability that a flight
-        breaks a limit. Without this risk, the plan has no margins from its limits. A controller
-        that corrects disturbances may then break a limit.
+        Whether the plan has no margins from its limits, so that a controller that corrects
+        disturbances may break a limit. A plan has margins only if its scenario states
+        `mission.risk`, the permitted probability that a flight breaks a limit.
     """
 
     mission: Scenario
@@ -78,10 +77,9 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     Raises
     ------
     ScenarioError
-        If there is no plan, or the plan is damaged, or the plan's status is neither
-        `PlanStatus.VERIFIED` (confirmed by simulation to the requested accuracy) nor
-        `PlanStatus.USABLE` (confirmed to wider tolerances). Also if the new simulation does not
-        confirm the plan.
+        If there is no plan, if the plan is damaged, or if the new simulation does not confirm it.
+        Also if its status is not one of `PlanStatus.VERIFIED` (confirmed by simulation to the
+        requested accuracy) and `PlanStatus.USABLE` (confirmed to wider tolerances).
     """
     place = Path(path)
     if place.is_dir():
@@ -157,9 +155,7 @@ class Motion:
     degrees : tuple of int
         Polynomial degree of each element, in order; their sum is n_nodes - 1.
     is_paper_plan : bool
-        Whether the scenario states no `mission.risk`, the permitted probability that a flight
-        breaks a limit. Without this risk, the plan has no margins from its limits. See
-        `ProvenPlan`.
+        Whether the plan has no margins from its limits; see `ProvenPlan`.
     """
 
     name: str
@@ -184,9 +180,9 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the plan's status is neither `PlanStatus.VERIFIED` (confirmed by simulation to the
-            requested accuracy) nor `PlanStatus.USABLE` (confirmed to wider tolerances). Also if the
-            new simulation does not confirm the plan.
+            If the new simulation does not confirm the plan. Also if its status is not one of
+            `PlanStatus.VERIFIED` (confirmed by simulation to the requested accuracy) and
+            `PlanStatus.USABLE` (confirmed to wider tolerances).
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -204,10 +200,9 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, or the plan is damaged, or the plan's status is neither
-            `PlanStatus.VERIFIED` (confirmed by simulation to the requested accuracy) nor
-            `PlanStatus.USABLE` (confirmed to wider tolerances). Also if the new simulation does not
-            confirm the plan.
+            If there is no plan, if the plan is damaged, or if the new simulation does not confirm
+            it. Also if its status is not one of `PlanStatus.VERIFIED` (confirmed by simulation to
+            the requested accuracy) and `PlanStatus.USABLE` (confirmed to wider tolerances).
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
@@ -330,8 +325,8 @@ class Motion:
         Parameters
         ----------
         rate_hz : float
-            Least number of times per second. The actual number may be larger, so that the
-            interval divides the duration of the flight evenly.
+            Least number of times per second. The actual number may be slightly larger, so that a
+            whole number of equal intervals makes up the flight.
         """
         count = int(np.ceil(self.duration * rate_hz * (1.0 - 1e-12)))
         return np.linspace(0.0, self.duration, max(count, 1) + 1)
@@ -357,9 +352,8 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    The table does not distinguish states and controls. In the result, every quantity of the table
-    is therefore listed both as a state and as a control. The equations of motion select the
-    quantities that they need.
+    The table does not say which quantities are states and which are controls. In the result, every
+    quantity is therefore both. The equations of motion select the quantities that they need.
 
     Parameters
     ----------
@@ -474,7 +468,7 @@ def fit_pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
-    The number of pieces is increased until position and yaw are within the permitted deviation. The
+    The number of pieces is increased until the deviation of position and yaw is small enough. The
     spline has degree 7, and its derivatives up to the sixth are continuous. At both ends of the
     flight the spline has the plan's velocity, acceleration and jerk.
 

@@ -116,15 +116,16 @@ def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
 def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states that the mission defines: hover at its start, and battery states.
 
-    In hover, the attitude angles, the velocity and the body rates are zero, except that the yaw
-    angle is the heading at the start of the mission.
+    In hover, velocity, body rates, roll and pitch are zero. The yaw angle is the heading at the
+    start of the mission.
 
     Parameters
     ----------
     scenario : Scenario
         The mission and its vehicle.
     dynamics : Dynamics
-        Simulated vehicle, which defines the states; battery states are included if it has them.
+        Simulated vehicle, which defines the states. Battery states are included if the vehicle
+        model has them.
 
     Returns
     -------
@@ -174,7 +175,7 @@ def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     """Return the charge missing from the full battery at the start of the flight [A h].
 
     `scenario` gives the initial state of charge. In the model `dynamics`, the state of charge is a
-    linear function of the missing charge. The missing charge is computed from this function.
+    linear function of the missing charge. The inverse of this function gives the result.
     """
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
@@ -201,8 +202,8 @@ RATE_HZ = 100.0
 class TumblingGuard:
     """Guard that stops the simulation of a tumbling vehicle.
 
-    The guard counts how often the integrator evaluates the differential equations, and raises an
-    error above a limit. A tumbling vehicle needs far more evaluations than a controlled vehicle.
+    A tumbling vehicle needs far more evaluations of the differential equations than a controlled
+    vehicle. The guard counts the evaluations, and raises an error above a limit.
 
     Parameters
     ----------
@@ -211,8 +212,8 @@ class TumblingGuard:
     duration : float
         Duration of the flight [s]. The limit rises with the duration.
     jumps : int, optional
-        Number of times at which the integrator is restarted, because an input of the equations,
-        such as the noise of the turbulence, jumps. The limit rises with this number.
+        Number of restarts of the integrator. It is restarted whenever an input of the equations
+        jumps, such as the noise of the turbulence. The limit rises with this number.
     """
 
     def __init__(self, flight: str, duration: float, jumps: int = 0) -> None:
@@ -352,8 +353,8 @@ def closed_loop(dynamics: Dynamics, controller: AdaptiveController) -> ClosedLoo
     """Return the compiled closed loop of a vehicle and its adaptive controller.
 
     The closed loop is a system of differential equations for the joint states of vehicle and
-    controller. It does not include the initial values of the controller's states. Controllers that
-    differ only in these values therefore have the same closed loop.
+    controller. The initial values of the controller's states are not part of the system.
+    Controllers that differ only in these values therefore have the same closed loop.
 
     Parameters
     ----------
@@ -377,8 +378,7 @@ class _Loop:
     The joint state of the system holds the states of the vehicle, the states of the controller, and
     the energy spent. `system` is the compiled right-hand side of the differential equations.
     `dynamics` has the equations of the vehicle. `controller` follows the path `reference`. `guard`
-    counts the evaluations of the right-hand side; it raises an error at a number that only a
-    tumbling vehicle needs.
+    counts the evaluations of the right-hand side, and raises an error if the vehicle tumbles.
     """
 
     def __init__(
@@ -454,7 +454,7 @@ _INSTANT = 1e-4
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
-    """Return the name that a flight under feedback has in comparisons with other flights.
+    """Return the name of a flight under feedback, for comparisons with other flights.
 
     Examples of names are "adaptive/quintic" and "adaptive/cruise 6 m/s". `reference` is the kind of
     path that the adaptive controller follows. `speed` is the cruise speed [m/s] if that path is an
@@ -468,30 +468,33 @@ def fly_baseline(
 ) -> Flight:
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
-    Two integrators that share no code simulate the flight. The flight is verified if both give the
-    same final position and energy, within the tolerances that apply to plans, and if the battery
-    can supply the power.
+    Two integrators that share no code simulate the flight. The flight is verified if both of these
+    conditions hold:
+
+    - The integrators agree on the final position and the energy, within the tolerances that apply
+      to plans.
+    - The battery can supply the power.
 
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times. If the reference is an autopilot's cruise, the function
-        `routes.cruise_at` must have set these times, which follow from the cruise speed.
+        The mission with fixed times. For an autopilot's cruise, the times follow from the cruise
+        speed; the function `routes.cruise_at` makes a mission with these times.
     reference : Reference
         Kind of path that the controller follows.
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        The plan to follow, if the reference is the plan. With any reference, a given plan also
-        serves to estimate the energy that the vehicle still needs to get from the final state of
-        the flight to hover at the goal. The estimate uses the plan's costates at its end.
+        The plan to follow, if the reference is the plan. With any reference, the final costates of
+        a given plan serve to estimate the energy still needed: from the final state of the flight
+        to hover at the goal.
 
     Returns
     -------
     Flight
         Table of the flight over time, and results. The attribute `owed_energy_J` is the estimate of
-        the energy still needed. It is NaN without a plan, and for a plan that was made for a
-        forecast wind.
+        the energy still needed. It is NaN without a plan. It is also NaN for a plan made for a
+        forecast wind, whose costates do not hold in the actual wind.
 
     Raises
     ------
@@ -649,8 +652,7 @@ def assembled_flight(
 ) -> Flight:
     """Join the simulated parts of a flight, verify them, and estimate the energy still needed.
 
-    The energy still needed is the energy to get from the final state of the flight to hover at the
-    goal.
+    The energy still needed is the energy from the final state of the flight to hover at the goal.
 
     Parameters
     ----------
@@ -665,7 +667,8 @@ def assembled_flight(
         several parts if the plan is replaced in flight.
     plan : Plan or None
         Plan whose costates give the estimate of the energy still needed. The estimate is NaN
-        without a plan, and for a plan that was made for a forecast wind.
+        without a plan. It is also NaN for a plan made for a forecast wind, whose costates do not
+        hold in the actual wind.
     began : float
         Value of `time.perf_counter` at the start of the simulation [s], for the computing time.
 
@@ -714,10 +717,12 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Some tolerances are larger than for plans. At a waypoint, the flight may exceed the limit on the
-    distance by `ARRIVAL_DISTANCE_M` [m] and the limit on the speed by `ARRIVAL_SPEED_M_PER_S`
-    [m/s], the tolerances on arrival at the goal. In a mission with constant heading, the yaw rate
-    is not checked: feedback must be free to turn the vehicle back to this heading.
+    The check differs from that of a plan in two points:
+
+    - At a waypoint, the tolerances on arrival at the goal apply: `ARRIVAL_DISTANCE_M` [m] on the
+      distance, and `ARRIVAL_SPEED_M_PER_S` [m/s] on the speed.
+    - In a mission with constant heading, the yaw rate is not checked, because feedback must be free
+      to turn the vehicle back to this heading.
 
     Parameters
     ----------
@@ -763,9 +768,9 @@ def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> I
     """Yield a record for each violated limit on distance or speed at a waypoint.
 
     `flown` has the samples of the flight, `dynamics` the order of their states, and `scenario` the
-    waypoints. Only waypoints with given times are checked. A distance may exceed its limit by
-    `ARRIVAL_DISTANCE_M` [m], and a speed by `ARRIVAL_SPEED_M_PER_S` [m/s]. These constants are the
-    tolerances on arrival at the goal.
+    waypoints. Only waypoints with given times are checked. The tolerances are those on arrival at
+    the goal: `ARRIVAL_DISTANCE_M` [m] on the distance, and `ARRIVAL_SPEED_M_PER_S` [m/s] on the
+    speed.
     """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
@@ -916,11 +921,11 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 
 
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
-    """Raise an error for a vehicle model that lacks a state which the controller measures.
+    """Raise an error if the vehicle model lacks a state that the controller measures.
 
-    The controller measures the position, velocity, attitude and body rates of a quadrotor. The
-    tuple `MEASURED_STATES` has the names of these states. `dynamics` is the vehicle model.
-    The error message begins with the name of `scenario`.
+    The controller measures position, velocity, attitude and body rates. The tuple `MEASURED_STATES`
+    has the names of these states. `dynamics` is the vehicle model. The error message begins with
+    the name of `scenario`.
 
     Raises
     ------

@@ -43,10 +43,9 @@ class LimitDistance:
     """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
     The constraint is a path constraint, such as the limit on the roll angle. It has a lower bound,
-    an upper bound, or both. The distance is the difference between the bound and the value of the
-    constrained quantity, such as the roll angle. It is positive within the bound and negative
-    beyond the bound. The flights follow one plan under feedback. The arrays have one entry for each
-    of n times.
+    an upper bound, or both. The distance is the difference between the bound and the constrained
+    quantity, here the roll angle. It is positive within the bound and negative beyond it. The
+    flights follow one plan under feedback. The arrays have one entry for each of n times.
 
     Attributes
     ----------
@@ -83,11 +82,14 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A margin tightens the limit that a plan must keep, so that the plan stays away from the true
-        limit. The statistics belong to the present plan. The distance of the new plan from the
-        limit is predicted from the present plan. At times when the present plan is at its tightened
-        limit, the distance becomes the new margin. At all other times, the distance stays the same,
-        but is at least the new margin.
+        A plan with a margin m must keep at least the distance m from the limit. The statistics
+        belong to the present plan. The distance of the new plan at each time is predicted from the
+        distance d of the present plan:
+
+        - If the present plan is at its margin, d becomes the new margin.
+        - Otherwise, d becomes max(d, new margin).
+
+        The distance of the mean flight changes by the same amount.
 
         Parameters
         ----------
@@ -106,12 +108,12 @@ class LimitDistance:
         return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, present: float, largest: float) -> float:
-        """Return the smallest margin with which a flight keeps the limit well enough.
+        """Return the smallest margin at which the probability of breaking the limit is low enough.
 
-        The limit is kept well enough if a flight breaks it with at most the probability `share`. A
-        margin is the amount by which the limit is tightened for a plan, in the unit of the limit.
-        `present` is the margin of the plan for which these statistics were computed. `largest` is
-        the largest margin considered. If even this margin is too small, it is returned.
+        `share` is the largest acceptable probability. A margin is the amount by which the limit is
+        tightened for a plan, in the unit of the limit. `present` is the margin of the plan for
+        which these statistics were computed. `largest` is the largest margin considered; it is
+        returned if even it is too small.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -132,7 +134,7 @@ _HALVINGS = 30
 
 
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
-    """Return the probability that a flight is beyond a limit at the first time or crosses it later.
+    """Return the probability that a flight starts beyond a limit or crosses it later.
 
     Over the flights, the distance from the limit is normally distributed. Negative distances are
     beyond the limit. The probability of crossings follows from Rice's formula.
@@ -157,9 +159,9 @@ def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArr
 def limit_distances(
     spread: Spread, states: FloatArray, controls: FloatArray
 ) -> Iterator[LimitDistance]:
-    """Yield the statistics of the distance of flights from each bound on a path constraint.
+    """Yield the distance statistics of flights for each bound on a path constraint.
 
-    Only finite bounds that a field of the scenario sets are included.
+    Only finite bounds are included, and only those that a field of the scenario sets.
 
     Parameters
     ----------
@@ -246,10 +248,10 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Name of the scenario field to tighten for the plan so that fewer flights break the limit,
-        such as the radius of the waypoint. The string is empty if tightening a field cannot help.
-        An example is the goal, because every plan already reaches the goal exactly. In this case,
-        only a larger reserve of thrust for the controller makes fewer flights break the limit.
+        Name of the scenario field, such as the radius of the waypoint, which is tightened for the
+        plan so that fewer flights break the limit. Empty if no field can be tightened, as for the
+        goal, which every plan reaches exactly. Then only a larger reserve of thrust for the
+        controller can help.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -278,17 +280,17 @@ class Miss:
         return replace(self, off=share * self.off)
 
     def excess(self, share: float) -> float:
-        """Return by how much the distances [m] or speeds [m/s] must decrease to keep the limit.
+        """Return the decrease of the distances [m] or speeds [m/s] needed to keep the limit.
 
-        The limit counts as kept if a flight breaks it with at most the probability `share`. The
-        result is zero if no decrease is needed.
+        The limit counts as kept if the probability that a flight breaks it is at most `share`. The
+        result is zero if the limit is kept already.
         """
         most = np.quantile(self.off, 1.0 - share / len(self.off), axis=1).max()
         return max(float(most) - self.within, 0.0)
 
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
-    """Return random samples of flights' distances from the goal and waypoints, and speeds there.
+    """Return random samples of flights: distances from goal and waypoints, and speeds there.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ Value = TypeVar("Value")
 
 
 class Recent(Generic[Value]):
-    """Cache of the most recently stored values; a full cache discards the value stored first.
+    """Cache of the most recently stored values; a full cache discards its oldest value.
 
     Parameters
     ----------

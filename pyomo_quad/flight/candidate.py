@@ -59,11 +59,10 @@ _MOST_STRICTER = 4
 class AlongShortest:
     """Starting point of a search for a plan: the mission's solution along its shortest route.
 
-    A mission with keep-out zones or a wind field has several routes. Before the search for a plan,
-    another search finds the best order of the waypoints. This other search already solves the
-    mission along the shortest route, on a single coarse mesh. `flight` is this solution. The search
-    for a plan then solves the mission along the other routes only, and compares their solutions
-    with `flight`.
+    The search for the best order of the waypoints precedes the search for a plan. It has solved the
+    mission along its shortest route already, on a single coarse mesh. `flight` is that solution.
+    The search for a plan then solves the mission along the other routes only, and compares their
+    solutions with `flight`. Other routes exist in a mission with keep-out zones or a wind field.
     """
 
     flight: Solution
@@ -90,9 +89,8 @@ class Candidate:
         the mission's solution along its shortest route (`AlongShortest`). None if the search has no
         starting point.
     solution : Solution or None
-        The best solution found so far. At first, it is the result of the first solve, converged or
-        not. A later solve may replace it, for example a retry that succeeds. None before the first
-        solve.
+        The best solution found so far: at first the result of the first solve, converged or not,
+        later for example that of a successful retry. None before the first solve.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
@@ -103,8 +101,8 @@ class Candidate:
     slower : Trajectory or None
         Solution of the mission with a longer duration, if there is one.
     shortest : Solution or None
-        Solution with the least duration in which the mission can be flown within its limits, if the
-        method `find_shortest` found one.
+        Solution of least duration within the limits of the mission, if the method `find_shortest`
+        found one.
     failure : Failure or None
         Reason why all strategies failed.
     flown : Plan or None
@@ -242,11 +240,10 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve does not converge, there are two cases. In a mission with regeneration (braking
-        rotors return energy), the result is kept as a failed solution. In a mission without
-        regeneration, the result is discarded, and other strategies are tried. These strategies are
-        better suited to such a mission: its power has a kink at zero, so that it is hard to solve
-        directly.
+        If the solve fails, the next step depends on the mission. With regeneration (braking rotors
+        return energy), the result is kept as a failed solution. Without regeneration, the power has
+        a kink at zero, which makes the problem hard to solve directly. The result is then
+        discarded, and other, better suited strategies are tried.
 
         Returns
         -------
@@ -288,10 +285,13 @@ class Candidate:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
         A long flight takes much longer than the vehicle needs to change its attitude. The result is
-        False if the mission is solved already, or if its route is not straight. It is also False
-        for a user's own model and for a model without regeneration. Without regeneration, a rotor
-        that brakes returns no energy; the power then has a kink at zero and needs another initial
-        guess.
+        False in these cases:
+
+        - The mission is solved already.
+        - The route is not straight.
+        - The model is a user's own.
+        - The model has no regeneration: braking rotors return no energy. The power then has a kink
+          at zero, for which another initial guess is better.
         """
         mission = self.mission
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
@@ -356,9 +356,9 @@ class Candidate:
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed. There is
-        an easier mission only if a waypoint of the mission has a radius or a speed limit. The
-        method `past_waypoints` uses the solution of the easier mission as initial guess.
+        In the easier mission, the vehicle passes each waypoint exactly and at any speed. It differs
+        from the mission only if a waypoint has a radius or a speed limit. The method
+        `past_waypoints` uses the solution of the easier mission as initial guess.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -406,9 +406,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        Each call of `slow_down` starts from the solution of the last call that succeeded, or from
-        the default guess of the model if there is none. The method `speed_up` later solves for the
-        original duration, with the last solution of `slow_down` as its initial guess.
+        The solve starts from the solution of the last call that succeeded. Without one, it starts
+        from the default guess of the model. The method `speed_up` later solves the mission with its
+        original duration, from the last of these solutions.
 
         Returns
         -------
@@ -424,7 +424,7 @@ class Candidate:
         return slow.status.value
 
     def has_slower(self) -> bool:
-        """Return whether the mission failed, but a solution of longer duration is known."""
+        """Return whether the mission's solve failed, but a solution of longer duration is known."""
         return self.has_failed() and self.slower is not None
 
     def speed_up(self) -> str | None:
@@ -458,9 +458,9 @@ class Candidate:
     def has_shorter(self) -> bool:
         """Return whether the mission's solve failed although its duration is long enough.
 
-        The duration is long enough if it is at least the least duration that the method
-        `find_shortest` found. A mission of free duration is judged by the greatest duration that it
-        allows. The result is False if `find_shortest` found no solution.
+        A duration is long enough if it is at least the least duration, which the method
+        `find_shortest` computes. If the duration of the mission is free, the greatest allowed
+        duration counts. The result is False if `find_shortest` found no solution.
         """
         longest = self.mission.told.mission.longest.value
         found = self.shortest
@@ -502,21 +502,16 @@ class Candidate:
         The reasons are stored in the attribute `failure`. The status of the solution becomes
         "infeasible" or "not converged". Nothing changes without a diagnosis.
 
-        The mission is judged infeasible in two cases. In the first case, the duration of the
-        mission is below the least duration that `find_shortest` found. A mission of free duration
-        is judged by the greatest duration that it allows.
+        The mission is judged infeasible in two cases:
 
-        The second case concerns the elastic problem, which minimises the violation of the mission's
-        limits. The mission is judged infeasible if the solution of the elastic problem violates a
-        limit, and `find_shortest` found no flight within the mission's duration.
+        - Its duration is below the least duration that `find_shortest` found. If the duration is
+          free, the greatest allowed duration counts.
+        - The solution of the elastic problem, which minimises the violation of the limits, still
+          violates a limit. In addition, `find_shortest` found no flight within the mission's
+          duration.
 
-        There are two exceptions, in which the mission is not judged infeasible. The first exception
-        applies to both cases: a flight kept all limits on a coarse mesh. The second exception
-        applies to the second case only: another route through a wind field may exist. The elastic
-        problem cannot exclude another route, because it is solved near one iterate only, the best
-        iterate of a failed solve.
-
-        If the mission is not judged infeasible, the status is "not converged".
+        The method `_doubt` looks for reasons to believe that the mission is possible. If there is a
+        reason, the mission is not judged infeasible, and the status is "not converged".
         """
         if self.diagnosis is None:
             return
@@ -535,11 +530,13 @@ class Candidate:
     def _doubt(self) -> str:
         """Return a reason to believe that the mission is possible although all solves failed.
 
-        The reason is a text for the user; it is empty if there is no reason. One reason is a route
-        along which a solve met all limits on a coarse mesh and failed only on finer meshes. Another
-        reason is a wind field: a flight may exist along a route that was not tried. The wind field
-        is no reason if the mission's duration is below the least duration that `find_shortest`
-        found.
+        The reason is a text for the user, empty if there is none. There are two possible reasons:
+
+        - Along at least one route, a solve met all limits on a coarse mesh, and failed only on
+          finer meshes.
+        - In a wind field, a flight may exist along a route that was not tried. The failed solves
+          cannot exclude it, because each searches near one route only. This reason requires that
+          the duration is not below the least duration that `find_shortest` found.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:
@@ -601,16 +598,16 @@ class Candidate:
         The result is True if the simulated flight deviates from the plan although the solve
         converged (see `is_astray`). A broken limit is one kind of deviation.
 
-        The result is always False if the scenario requests the highest accuracy, `proof`. Stricter
-        limits cost energy, so that they are not used at this accuracy.
+        The result is always False at the highest accuracy, `proof`, because stricter limits cost
+        energy.
         """
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
     def keep_limits(self) -> str | None:
         """Solve again with stricter values of the limits that the simulated flight breaks.
 
-        The solves are repeated a few times at most, until the simulated flight keeps the mission's
-        own limits. The last plan becomes the attribute `flown`.
+        The solve is repeated until the simulated flight keeps the mission's own limits, but only a
+        few times. The last plan becomes the attribute `flown`.
 
         Returns
         -------
@@ -642,7 +639,7 @@ class Candidate:
         tolerance.
 
         Stricter limits cannot reduce the energy of a global optimum. If the plan costs less,
-        `relaxed` is therefore only a local optimum, and the search continues from the plan's
+        `relaxed` is therefore only a local optimum. The search then continues from the plan's
         solution.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
@@ -651,10 +648,10 @@ class Candidate:
     def is_astray(self) -> bool:
         """Return whether the simulated flight deviates from the plan although the solve converged.
 
-        A flight deviates, for example, if it misses the required final state, breaks a limit, or
-        needs another energy than the plan, by more than the requested tolerances. A finer mesh may
-        then help. The result is False if the battery cannot supply the simulated flight, because a
-        finer mesh does not help then. The result is also False after the time limit of the search.
+        Examples of deviations are a wrong final state, a broken limit, or another energy than
+        planned, beyond the requested tolerances. A finer mesh may then help. The result is False in
+        two cases: the battery cannot supply the simulated flight, which a finer mesh does not
+        change, or the time limit of the search has passed.
         """
         plan = self.flown
         is_over = self.search.deadline.is_over
@@ -700,8 +697,8 @@ class Candidate:
     def lacks_power(self) -> bool:
         """Return whether the battery can supply the plan's mean power but not its peak power.
 
-        The peak power is that of the plan's simulated flight. A gentler flight with a lower peak
-        power may be possible.
+        The peak power is that of the plan's simulated flight. If the result is True, a gentler
+        flight with a lower peak power may be possible.
         """
         plan, mission, limits = self.flown, self.mission, self.scenario.limits
         if not mission.problems.is_declared or limits.battery_power_share_max is not None:

@@ -4,9 +4,8 @@ A leg is the line between two corners of a route. The floor is the least height 
 that the mission allows. A leg that is below the floor anywhere is replaced by three straight parts:
 a climb, a level part and a descent. The level part is at the greatest height that the floor
 requires along the leg. Climb and descent are just steep enough to clear the floor. If the level
-part is short, the lines of climb and descent, extended upwards, intersect only slightly above it.
-The level part is then left out: the climb leads to the point of intersection, and the descent
-begins there.
+part is short, it is left out: the climb is extended upwards until it meets the extended descent,
+slightly above the level part.
 """
 
 from itertools import pairwise
@@ -29,9 +28,9 @@ _HIGHER = 0.1
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
     """Return a route raised where its legs are too low over terrain, with additional corners.
 
-    A leg is the straight line between two successive corners of the route. The route is returned
-    unchanged if the raised route would enter a keep-out zone. It is also returned unchanged if the
-    airspace has no terrain or no floor (least height above the ground).
+    A leg is the straight line between two successive corners of the route. The floor is the least
+    height above the ground that the mission allows. The route is returned unchanged in two cases:
+    the airspace has no terrain or no floor, or the raised route would enter a keep-out zone.
 
     Parameters
     ----------
@@ -60,9 +59,9 @@ def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
     A leg is the straight line between two successive corners of the route. `ends` has the two ends
     of the leg [m], shape (2, 3). `floor` is the least height above the ground [m].
 
-    The result has the inserted corners [m], shape (n, 3), without the ends of the leg. There are
-    none if the leg is high enough. Otherwise there are at most two: the end of the climb and the
-    beginning of the descent, or one corner where both meet.
+    The result has the inserted corners [m], shape (n, 3), without the ends of the leg. It is empty
+    if the leg is high enough. Otherwise it has at most two corners: the end of the climb and the
+    beginning of the descent, or the one corner where both meet.
     """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf

@@ -54,8 +54,8 @@ class Column:
     scale : float
         Factor from the stored value to the printed value.
     smallest_span : float
-        Least range of the axis in a figure, in the printed unit. It keeps the rounding errors of a
-        constant quantity small in the figure.
+        Least range of the axis in a figure, in the printed unit. Without it, the axis of a constant
+        quantity would be scaled to its rounding errors.
     """
 
     name: str
@@ -99,9 +99,9 @@ class Column:
 def _of(block: str) -> Callable[..., Column]:
     """Return a function that makes table columns for the variables of one block of the model.
 
-    `block` is the name of the block in the Pyomo model, such as "rotors". The returned function
-    takes the name of a column, the name of the variable within the block, and the further
-    attributes of `Column`.
+    `block` is the name of the block in the Pyomo model, such as "rotors". Arguments of the returned
+    function: name of the column, name of the variable within the block, and the other attributes of
+    `Column`.
     """
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 

@@ -1,12 +1,14 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
-The paper by Yacef et al., whose model this package uses, cites such a controller without giving its
-equations. This module has a controller of the same kind. For the control law, the proof by a
-Lyapunov function and the limits, see docs/theory/controller.md, eqs. (1) to (11).
+The paper by Yacef et al., whose model this package uses, refers to a controller of this kind, but
+does not give its equations. This module has its own controller of the same kind. For the control
+law, the proof by a Lyapunov function and the limits, see docs/theory/controller.md, eqs. (1) to
+(11).
 
 The control law can be called with numbers or with symbolic variables. With symbolic variables it
-returns expressions, which are compiled together with the equations of the vehicle. The law
-therefore uses only arithmetic and NumPy's scalar functions, and no branch depends on a value.
+returns expressions, which are compiled together with the equations of the vehicle. For this
+purpose, the law uses only arithmetic and NumPy's scalar functions, without branches (if) that
+depend on values.
 """
 
 from collections.abc import Iterable, Sequence
@@ -29,9 +31,9 @@ Vector = Sequence[float]
 class AttitudeKinematics(Protocol):
     """Interface of the attitude kinematics, which relate attitude angles and body rates.
 
-    The methods convert body rates to rates of the angles, and accelerations in both directions. The
-    angles are roll, pitch and yaw [rad]. The body rates are the angular velocities about the body
-    axes [rad/s].
+    The methods convert body rates to rates of the angles. They also convert the accelerations, in
+    both directions. The angles are roll, pitch and yaw [rad]. The body rates are the angular
+    velocities about the body axes [rad/s].
     """
 
     def angle_rates(self, attitude: Vector, body_rates: Vector, /) -> Vector:
@@ -150,8 +152,8 @@ class EulerRates:
         """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
 
         `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
-        body axes [rad/s]. The derivatives are not zero: as the attitude changes, the rates of the
-        angles change even at constant body rates.
+        body axes [rad/s]. The derivatives differ from zero because the rates of the angles depend
+        on the changing attitude.
         """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
@@ -224,9 +226,9 @@ _SLOWEST_SQUARED = 1.0
 class Allocation:
     """Control allocation: rotor speeds for a commanded thrust and moments, within the limits.
 
-    If the limits do not allow the whole command, roll and pitch moment have priority over thrust,
-    and thrust has priority over the yaw moment. The reason: a vehicle that keeps its roll and pitch
-    can correct errors of height and yaw later.
+    If the limits do not allow the whole command, the order of priority is: roll and pitch moments,
+    thrust, yaw moment. A vehicle that keeps its roll and pitch can correct errors of height and yaw
+    later.
 
     Parameters
     ----------
@@ -375,14 +377,13 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
     Returns
     -------
     float
-        Rate r, in the unit of the error per s and with the sign of the error. For small errors it
-        is ``gain * error``. For large errors, its absolute value is the square root of
-        ``acceleration_max * abs(error)``.
+        Rate r = gain e / sqrt(1 + q) with q = gain^2 |e| / a, in the unit of the error per s. For
+        small errors, r is about gain e. For large errors, |r| is about sqrt(a |e|).
 
     Notes
     -----
-    If the error decreases at the rate r(e), its deceleration is r dr/de = a/2 q (2 + q) / (1 + q)^2
-    with q = gain^2 |e| / a. For every gain it is less than half of the available deceleration a.
+    At the rate r(e), the deceleration of the error is r dr/de = a/2 q (2 + q) / (1 + q)^2. This is
+    less than a/2 for every gain.
     """
     return gain * error / np.sqrt(1 + gain**2 * np.abs(error) / acceleration_max)
 
@@ -409,8 +410,9 @@ def project(estimate: Sequence[float], rate: Sequence[float], bound: float) -> l
 
     Notes
     -----
-    The projection never increases the Lyapunov function V of the controller: if the true value of
-    the estimated quantity is within 90 % of the radius, (estimate - true) . (result - rate) <= 0.
+    The projection never increases the Lyapunov function V of the controller. The reason is the
+    inequality (estimate - true) . (result - rate) <= 0. It holds if the true value of the estimated
+    quantity lies in the inner ball with 90 % of the radius.
     """
     outward = sum(d * r for d, r in zip(estimate, rate, strict=True))
     inner = bound * (1 - _PROJECTION_LAYER)
@@ -433,10 +435,11 @@ class BacksteppingLoop:
     The three axes are x, y and z, or roll, pitch and yaw. Law and proof: see
     docs/theory/controller.md, eqs. (1) to (7).
 
-    The loop has nine states: three quantities with one value per axis each. The first quantity,
-    xi_p, is the effect of the actuators' lag on the tracking error. The next, xi_v, is the effect
-    of the lag on the rate of the error. The last, d_hat, is the estimated disturbance, an
-    acceleration.
+    The loop has nine states, three for each axis:
+
+    - xi_p, the effect of the actuators' lag on the tracking error;
+    - xi_v, the effect of the lag on the rate of the error;
+    - d_hat, the estimated disturbance, an acceleration.
 
     A tracking error is the actual value minus the reference value. Errors are in m for the position
     and in rad for the attitude. Rates are in m/s or rad/s, accelerations in m/s^2 or rad/s^2.
@@ -549,8 +552,8 @@ class BacksteppingLoop:
 def _shrink(vector: Sequence[float], reach: float) -> float:
     """Return the factor 1 / sqrt(1 + |v|^2 / reach^2), which limits the length of a vector v.
 
-    `vector` is v, with three components. The factor times v is always shorter than `reach`, a
-    length in the unit of v.
+    `vector` is v, with three components. The product of the factor and v is always shorter than
+    `reach`, a length in the unit of v.
     """
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
@@ -615,9 +618,9 @@ def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
     `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. If
-    the scenario sets `baseline.gains.tilt_max`, this value is the largest tilt. Otherwise, the
-    largest tilt is the tilt at which the largest commanded thrust still balances the weight. The
-    result never exceeds the tilt that the limits on roll and pitch allow.
+    the scenario sets `baseline.gains.tilt_max`, this is the largest tilt. Otherwise, it is the tilt
+    at which the vertical component of the largest commanded thrust equals the weight. In either
+    case, the limits on roll and pitch are kept.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -629,9 +632,8 @@ def followed_tilt(believed: Scenario) -> float:
 class ThrustEnvelope:
     """Set of accelerations of the vehicle that the limits of thrust and tilt allow.
 
-    An acceleration in this set is the second time derivative of the position, zero in hover. The
-    thrust vector divided by the mass is the sum of this acceleration and an upward vector of length
-    `gravity`.
+    An acceleration is the second time derivative of the position, zero in hover. For an
+    acceleration v, the thrust vector divided by the mass is v + (0, 0, gravity).
 
     Parameters
     ----------
@@ -653,9 +655,9 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The planned acceleration itself is not reduced. If it needs more thrust or tilt than the
-        limits of this set allow, these limits are raised to what it needs. This is safe, because
-        a plan keeps the limits of the vehicle itself.
+        The planned acceleration itself stays. If it needs more thrust or tilt than this set allows,
+        the limits of the set are raised as far as it needs. This is safe, because a plan keeps the
+        actual limits of the vehicle.
 
         Parameters
         ----------
@@ -668,7 +670,8 @@ class ThrustEnvelope:
         Returns
         -------
         tuple of three floats
-            Planned acceleration plus the reduced difference [m/s^2].
+            planned + (s(acceleration) - s(planned)) [m/s^2]. The function s shortens a vector to
+            fit the limits of thrust and tilt.
         """
         whole, own = (self._shortened(vector, planned) for vector in (acceleration, planned))
         x, y, z = (a + b - c for a, b, c in zip(planned, whole, own, strict=True))
@@ -684,8 +687,8 @@ class ThrustEnvelope:
         """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. `planned` is the planned acceleration [m/s^2]. If the planned acceleration needs
-        more thrust or tilt than the limits allow, the limits are raised to what it needs.
+        direction. `planned` is the planned acceleration [m/s^2]. If it needs more thrust or tilt
+        than the limits allow, the limits are raised as far as it needs.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -741,9 +744,9 @@ _UNKNOWN_TILTING, _UNPLANNED = (0.0,) * 4, (0.0,) * _AXES
 class AdaptiveController:
     """Adaptive controller of a quadrotor: position loop, command filter, attitude loop, allocation.
 
-    The position loop commands a force, which determines thrust and tilt. The command filter makes
-    the tilt command smooth, the attitude loop follows the filtered tilt, and the allocation gives
-    the rotor speeds: see docs/theory/controller.md.
+    The position loop commands a force, which determines thrust and tilt. The command filter smooths
+    the tilt. The attitude loop commands the moments that make the vehicle follow the filtered tilt.
+    The allocation gives the rotor speeds. See docs/theory/controller.md.
 
     Parameters
     ----------
@@ -806,8 +809,9 @@ class AdaptiveController:
             Position, velocity, attitude and body rates of the vehicle, in the order of the names in
             `MEASURED_STATES`.
         last : sequence of 22 floats, optional
-            The controller's states at the end of the previous reference, if there was one. The
-            attitude command then continues without a jump, and only the position loop is reset.
+            The controller's states at the end of the previous reference, if there was one. If
+            given, only the position loop is reset, and the attitude command continues without a
+            jump.
 
         Returns
         -------
@@ -848,10 +852,9 @@ class AdaptiveController:
 
         Notes
         -----
-        If the reference is a plan, all values apply at time t. For any other reference, the planned
-        values are zero, and the accelerations for the tilt are those of the reference at a time
-        somewhat later than t. The vehicle needs this lead because it reaches a commanded tilt with
-        a lag.
+        If the reference is a plan, all values are those at time t. For any other reference, the
+        planned values are zero. The accelerations for the tilt are then those of the reference at a
+        slightly later time, because the vehicle reaches a commanded tilt with a lag.
         """
         place, rate, acceleration, tilting = reference(t)
         left = self._released(t)

@@ -11,16 +11,16 @@ used. The cost of any other line is the cost of steady flight along it. For grou
 a and power P(a), this cost is (P(a) + price of time) / g per metre. The ground speed is chosen so
 that the cost is least. The airspeed follows from the ground speed and the wind. The wind is taken
 at both ends and in the middle of the line. If the field changes with time, the wind at a place is
-taken at the time when a flight at constant speed would pass the place. The power is tabulated once
+taken at the time at which a flight at constant speed would pass there. The power is tabulated once
 for all airspeeds.
 
 Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
 every grid point. The cheapest of these routes is the first corridor. For the next corridor, grid
 points near any route found so far are excluded. The cheapest route through one of the remaining
 points is the next corridor [1]_. The search ends when this route costs much more than the first
-corridor. A route may make a needless detour through its grid point. Therefore corners are removed
-where a straight line costs no more. The route is discarded if it then coincides with an earlier
-corridor.
+corridor. A route may make a needless detour through its grid point. Corners are therefore removed
+where a straight line costs no more. If the straightened route coincides with an earlier corridor,
+it is discarded.
 
 .. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
    ACM Journal of Experimental Algorithmics 18 (2013), on cheapest routes through a given place.
@@ -87,9 +87,9 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
 class WindMap:
     """Horizontal wind at any place and time, by linear interpolation in the data of a wind field.
 
-    `told` is the mission in its forecast wind, which must be a wind field. The search for routes
-    evaluates the wind very often. Linear interpolation is used because it is faster than the spline
-    that represents the wind in the Pyomo model.
+    `told` is the mission in its forecast wind, which must be a wind field. The Pyomo model
+    represents the wind by a spline. The search for routes uses linear interpolation, which is
+    faster, because it evaluates the wind very often.
     """
 
     def __init__(self, told: Scenario) -> None:
@@ -140,8 +140,8 @@ class LineCosts:
     ends : ndarray, shape (2, 3)
         Start and end of the leg [m].
     duration : float
-        Duration of the leg, or a guess if the duration is free [s]. It determines the time at which
-        a flight at constant speed passes a place. The wind at the place is taken at this time.
+        Duration of the leg, or a guess if the duration is free [s]. The wind at a place is taken at
+        the time at which a flight of this duration at constant speed passes there.
     fastest : float
         Largest ground speed that the scenario allows [m/s], infinite without such a limit.
     """
@@ -215,9 +215,9 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    `told` is the mission in its forecast wind. The result is True for a wind field that differs
-    between horizontal positions and acts through the airspeed (`wind.coupling = "drag"`). Only such
-    a field may have corridors, cheap routes through the wind.
+    `told` is the mission in its forecast wind. The result is True if the wind differs between
+    horizontal positions and acts through the airspeed (`wind.coupling = "drag"`). Only then may
+    corridors exist: cheap routes through the wind.
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -351,9 +351,9 @@ def _grid(
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """Return the points of the search grid about a leg, and the lines that join them.
 
-    The search for cheap routes (corridors) goes from point to point along the lines. On the map,
-    the grid is a rectangle that contains start and goal of the leg with a margin. Each point of the
-    grid has the height of the leg at the place of the leg that is nearest on the map.
+    The search for cheap routes (corridors) goes from point to point along the lines. Seen from
+    above, the grid is a rectangle that contains start and goal of the leg with a margin. The height
+    of a grid point is the height of the leg at its horizontally nearest point.
 
     Each point of the grid is joined to its 16 neighbours. Start and goal are joined to the grid
     points near them. Lines through keep-out zones are included; they get an infinite cost later.
@@ -370,8 +370,8 @@ def _grid(
     places : ndarray, shape (n, 3)
         Start, goal, and then the points of the grid [m]; n is their total number.
     first, last : ndarray of int, shape (n_lines,)
-        Row in `places` of the start and of the end of each line. Each line is included once for
-        each direction of flight, because the wind makes the costs of the two directions differ.
+        Row in `places` of the start and of the end of each line. Each line is included twice, once
+        for each direction of flight: with wind, the two directions differ in cost.
     """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
@@ -473,8 +473,8 @@ class _Search:
     def corridors(self, separation: float) -> list[FloatArray]:
         """Return the corridors: cheap routes that lie apart, the cheapest first.
 
-        Two routes lie apart if one of them has a corner at least `separation` [m] away from the
-        other. Each route is an array of its corners [m], shape (n, 3).
+        Two routes lie apart if one of them has a corner at a distance of at least `separation` [m]
+        from the other. Each route is an array of its corners [m], shape (n, 3).
         """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]

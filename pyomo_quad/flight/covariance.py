@@ -129,8 +129,8 @@ def propagated(
 ) -> tuple[FloatArray, FloatArray]:
     """Propagate the covariance of the states of a linear system over n steps.
 
-    Random numbers of unit variance act on the states. Some are drawn anew in each step, others are
-    drawn once.
+    Independent random numbers of unit variance act on the states. Some are drawn anew in each step
+    (white noise). The others are drawn once and stay constant.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ def propagated(
 
 
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return covariances, and covariances between successive times, without overflow.
+    """Return covariances of the states without overflow.
 
     If the controller cannot follow the plan, the covariance grows without limit. From the first
     time at which a standard deviation exceeds `_LOST`, a very large number, all standard deviations
@@ -185,8 +185,8 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
     ndarray, shape (n, n_x, n_x)
         Covariance of the states without overflow.
     ndarray, shape (n - 1, n_x, n_x)
-        Covariance between successive times. It is zero if standard deviations were set at the later
-        time.
+        Covariance between successive times; zero where the standard deviations at the later time
+        are `_LOST`.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
@@ -263,8 +263,8 @@ class _MeanFlight:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of the closed loop along the flight without gusts.
 
-        They are derivatives of the rates of the joint state. The joint state holds the states of
-        vehicle, turbulence filters and controller, and the energy.
+        The Jacobians are derivatives of the rates of the joint state. The joint state holds the
+        states of vehicle, turbulence filters and controller, and the energy.
 
         Parameters
         ----------

@@ -30,9 +30,8 @@ class TimeIsUpError(SolveError):
 class _Watch:
     """Clock that measures the processor time of a thread against a time limit.
 
-    If the process forks, the clock continues in the forked process with the time left at the fork.
-    The attribute `is_over` states whether the limit had passed at the last call of the method
-    `look`.
+    In a forked process, the clock continues with the time left at the fork. The attribute `is_over`
+    states whether the limit had passed at the last call of the method `look`.
     """
 
     limit_s: float
@@ -49,8 +48,8 @@ class _Watch:
     def shortened(self, limit_s: float) -> Self:
         """Return a copy of this clock whose limit passes at most ``limit_s`` seconds from now.
 
-        The seconds are processor time. The copy keeps the limit of this clock if this limit passes
-        earlier.
+        The seconds are processor time. If the limit of this clock passes earlier, the copy has the
+        same limit.
         """
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
@@ -72,9 +71,9 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
-    A command of the user, such as planning a mission, has a single time limit. Inside the block of
-    another deadline, the limit of the outer deadline therefore applies, and the limit of `scenario`
-    is ignored.
+    A command of the user, such as planning a mission, has a single time limit. In nested blocks,
+    the limit of the outermost deadline therefore applies, and the limit of an inner `scenario` is
+    ignored.
 
     Parameters
     ----------
@@ -83,7 +82,8 @@ class Deadline:
     progress : callable, optional
         Progress callback of the caller, which may stop a solve earlier.
     longest_s : float, optional
-        Longest time for this block [s of processor time]. The time limit may end the block earlier.
+        Longest time for this block [s of processor time]; the time limit may still end the block
+        earlier.
     """
 
     def __init__(

@@ -2,9 +2,9 @@
 
 Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
 zones. A vehicle that follows the path under feedback then enters the zones too; the module
-`flight.tracking` simulates such a flight. For the time that the simulated flight spends inside a
-zone, the path is displaced outwards, and the flight is simulated again. Each attempt costs one
-simulated flight, and no solve. See docs/theory/tracking.md, eq. (8).
+`flight.tracking` simulates such a flight. While the simulated flight is inside a zone, the path is
+displaced outwards. The flight is then simulated again. Each attempt costs one simulated flight, and
+no solve. See docs/theory/tracking.md, eq. (8).
 
 With the displacements, a coarse solution may become a usable plan: a plan that simulation confirms,
 at lower accuracy than requested.
@@ -123,10 +123,9 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
     Returns
     -------
     tuple of Push
-        One push for each time span that the flight spends inside a zone. The push has its full
-        displacement during this time span. The vector of the displacement has the direction of the
-        shortest way out of the zone, from the place where the flight is deepest inside. The length
-        of the vector is somewhat more than the length of this way.
+        One push for each time span that the flight spends inside a zone. The full displacement
+        lasts for this time span. It has the direction of the shortest way out of the zone, from the
+        place where the flight is deepest inside, and is somewhat longer than this way.
     """
     found: list[Push] = []
     for name, depth in _depths(limits).items():

@@ -119,10 +119,12 @@ class Ending:
     largest_deviation_m, peak_tilt_rad : float
         Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
-        Name of each broken limit in words -> largest violation, relative to the larger of 1 and the
-        limit. For a limit on the arrival, the value is the distance [m] or the speed [m/s] at the
-        end. For a limit of the battery, the value is the fraction of power or charge that is
-        missing. The mapping is empty if the flight arrived and kept every limit.
+        Name of each broken limit in words -> amount; empty if the flight arrived and kept every
+        limit. The amount depends on the kind of limit:
+
+        - Arrival: distance from the goal [m] or speed [m/s] at the end.
+        - Battery: missing fraction of power or charge.
+        - Any other limit: largest violation, relative to the larger of 1 and the limit.
     """
 
     energy_J: float
@@ -137,8 +139,8 @@ class Ending:
     def has_succeeded(self) -> bool:
         """Whether the simulated flight reached its goal and broke no limit.
 
-        The limits are those of the model, of the waypoints, of the arrival (distance from the goal
-        and speed at the end) and of the battery.
+        There are limits of the model, limits at waypoints, limits of the battery, and limits on the
+        arrival (distance from the goal and speed at the end).
         """
         return not self.broken
 
@@ -255,9 +257,10 @@ class EnsembleSimulation:
     def _fastest_rate(self) -> float:
         """Return the decay rate of the fastest mode of the closed loop at take-off [1/s].
 
-        The integration steps must be short enough to be stable at this rate. The rate does not
-        follow from the gains of the controller: the yaw loop is several times faster than any gain.
-        The reaction moment of accelerating rotors on the body makes the yaw loop so fast.
+        The integration steps must be short enough to be stable at this rate. The rate is computed
+        from the eigenvalues of the closed loop. The gains of the controller alone do not determine
+        it: owing to the reaction moment of accelerating rotors on the body, the yaw loop is several
+        times faster than any gain.
         """
         loop = closed_loop(self._dynamics, self._controller)
         command = np.array([self._controller.command(self._reference, 0.0)])

@@ -35,9 +35,9 @@ def departures(plan: "Plan") -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        Messages such as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s". The numbers are the
-        largest value in the plan, the bound of the validated range, and the time spent beyond this
-        bound.
+        Messages such as "airspeed to 17.2 m/s, 16 m/s confirmed, for 3.1 s". Here 17.2 m/s is the
+        largest value in the plan, 16 m/s the bound of the validated range, and 3.1 s the time
+        beyond this bound.
     """
     return tuple(
         departures_of(

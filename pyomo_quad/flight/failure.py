@@ -19,14 +19,15 @@ class Failure:
     Attributes
     ----------
     longest : NamedDuration
-        The duration that the mission prescribes. If the duration is free, the greatest duration
-        that the mission allows. The value comes with the name of its scenario field.
+        The prescribed duration of the mission or, if the duration is free, the greatest allowed
+        duration, with the name of its scenario field.
     shortest_duration_s : float or None
-        The least duration in which the mission can be flown within its limits. A solve that
-        minimises the duration finds it. None if there was no such solve or it failed.
+        Least duration within the limits of the mission, from a solve that minimises the duration.
+        None if this solve was not made or failed.
     diagnosis : Diagnosis
         Diagnosis of the failed solve. It has the equations with the largest residuals, the active
-        limits, and the limits that must all be relaxed together to make the mission feasible.
+        limits, and a set of limits. The mission becomes feasible if all limits of this set are
+        relaxed together.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     doubt : str
@@ -44,9 +45,8 @@ class Failure:
     def is_too_short(self) -> bool:
         """Whether the mission's duration is shorter than the least possible duration.
 
-        A mission of free duration is judged by the greatest duration that it allows. The least
-        possible duration is the attribute `shortest_duration_s`. The result is False if this
-        attribute is None.
+        The two durations are the attributes `longest` and `shortest_duration_s`. The result is
+        False if `shortest_duration_s` is None.
         """
         return (
             self.shortest_duration_s is not None and self.shortest_duration_s > self.longest.value
@@ -55,8 +55,8 @@ class Failure:
     def causes(self) -> Iterator[str]:
         """Yield one sentence for each cause of the failure and each remedy, the simplest first.
 
-        If the attribute `doubt` is not empty, it is the only sentence: causes and remedies assume
-        that the mission is impossible, and `doubt` is a reason to believe that it is possible.
+        If there is reason to believe that the mission is possible (attribute `doubt`), this reason
+        is the only sentence. Causes and remedies would assume that the mission is impossible.
         """
         if self.doubt:
             yield self.doubt

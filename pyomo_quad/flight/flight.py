@@ -108,16 +108,15 @@ class Flight(Summarised):
     worst_constraint : str
         Name of the limit with the largest violation.
     is_verified : bool
-        Whether a second, independent integration confirmed the flight and the battery can supply
+        True if a second, independent integration confirmed the flight, and the battery can supply
         the required power throughout.
     wall_s : float
         Computing time of the simulation [s]. For the flight of a plan (the method `Plan.flight`),
         the time to compile, solve and verify the plan.
     owed_energy_J : float
-        Energy needed to get from the flight's final state to the required final state [J]. It is
-        estimated from the costates of a plan. It is NaN in two cases: without a plan, and if the
-        plan was made for a forecast wind but the flight had the actual wind. Costates for one wind
-        do not hold in another wind.
+        Energy needed to get from the flight's final state to the required final state [J],
+        estimated from the costates of a plan. It is NaN without a plan. It is also NaN for a plan
+        made for a forecast wind, whose costates do not hold in the actual wind of the flight.
     broken_limits : tuple of str
         Every limit that the flight violates by more than the tolerance, in words with the amount.
         The limits of the model (path inequalities and bounds) come first, in order of decreasing
@@ -125,9 +124,9 @@ class Flight(Summarised):
     resolves : tuple of Resolve
         Record of each solve for a new plan during the flight.
     doubt : str
-        Reasons why a simulated flight is not verified; empty without a reason. The two integrations
-        may differ too much, or the battery may lack power, charge or voltage. Each reason has the
-        value found and the value allowed.
+        Reasons why a simulated flight is not verified; empty if there is none. Examples are two
+        integrations that differ too much, and a battery that lacks power, charge or voltage. Each
+        reason has the value found and the value allowed.
     """
 
     name: str
@@ -161,7 +160,7 @@ class Flight(Summarised):
         }
 
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
-        """Return the flight with an estimate of the energy still needed at its end.
+        """Return a copy of the flight with an estimate of the energy still needed at its end.
 
         The energy still needed is the energy to get from the flight's final state to the required
         final state. The estimate is of first order, from the costates of a plan. It is stored in
@@ -215,7 +214,7 @@ class Flight(Summarised):
         allowed : mapping, optional
             Name of a limit without its index, such as "mission.hold_speed" -> additional tolerance
             on its violation, in the unit of the limit. A limit counts as broken if its violation
-            exceeds both tolerances: this one, and the relative one of `accuracy`.
+            exceeds this tolerance and the relative tolerance of `accuracy`.
         accuracy : Accuracy, optional
             Accuracy level, which sets the tolerance on the relative violation of every limit.
         """

@@ -4,9 +4,8 @@ The vehicle flies along the lines of the route, smoothed at corners. If the miss
 duration, the speed follows from the duration. If the duration is free, the speed is at most the
 speed of least cost in steady flight. Attitude and rotor speeds follow from the acceleration of this
 path (differential flatness). A simulation under feedback then turns the path into a flight that
-satisfies the equations of motion. The plan spends more energy than the optimum, but it is available
-before the first solve has ended. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to
-(7).
+satisfies the equations of motion. The plan spends more energy than the optimum. It is available
+before the first solve ends. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to (7).
 """
 
 from __future__ import annotations
@@ -73,10 +72,9 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
     Several paths along the route are tried, with different speeds and accelerations. Each path that
-    keeps the limits is simulated under feedback. A simulation confirms its path if the simulated
-    flight reaches the goal and keeps the limits. The tolerances are wide: the flight may end half a
-    metre from the goal. The search ends when a simulation confirms a path, or after the third
-    simulation.
+    keeps the limits is simulated under feedback. A path is confirmed if its simulated flight
+    reaches the goal and keeps the limits. The tolerances are wide: the flight may end half a metre
+    from the goal. The search ends with the first confirmed path, or after the third simulation.
 
     Parameters
     ----------
@@ -87,9 +85,12 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     -------
     Plan or None
         The plan that was simulated last, with the result of the simulation. The error estimate of
-        the plan compares its energy with the energy of steady flight along the route. None if there
-        is no route, or if no path of an allowed duration keeps the limits. Also None for a user's
-        own model, and for waypoints with prescribed times or headings.
+        the plan is the relative difference between its energy and the energy of steady flight along
+        the route. The result is None in each of these cases:
+        - There is no route, or no steady flight along it.
+        - No path of an allowed duration keeps the limits.
+        - The model is a user's own.
+        - A waypoint has a prescribed time or heading.
     """
     told = mission.told
     if not mission.problems.is_declared or any(
@@ -114,10 +115,12 @@ def _first_usable(
     reaches the goal and keeps the limits, to wide tolerances: the flight may end half a metre from
     the goal.
 
-    Pairs of a speed and an acceleration are tried in turn. Each pair determines a path. A path that
-    breaks no limit is simulated. For each pair there may be a second path, which stays closer to
-    the route at corners. The second path is tried if the first path breaks only limits of the
-    airspace (zones, fence, floor, ceiling), or if the simulation does not confirm the first path.
+    Pairs of a speed and an acceleration are tried in turn. Each pair gives a path. If the path
+    keeps all limits, it is simulated. A second path of the same pair stays closer to the route at
+    corners. It is tried in two cases:
+    - The first path breaks limits, but only those of the airspace (zones, fence, floor, ceiling).
+    - The simulation of the first path does not confirm it.
+
     At most three paths are simulated.
 
     Parameters
@@ -129,8 +132,7 @@ def _first_usable(
     fastest : float
         Greatest speed of a path [m/s].
     least_energy : float
-        Energy of steady flight along the journey [J], with which the energy of each plan is
-        compared.
+        Energy of steady flight along the journey [J]. The energy of each plan is compared with it.
 
     Returns
     -------
@@ -161,12 +163,13 @@ def _first_usable(
 
 
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
-    """Return a smooth path along a journey, of a duration that the mission allows.
+    """Return a smooth path along a journey, whose duration the mission allows.
 
     A journey is a route for each leg of the mission `told`. `pace` has the greatest speed and the
-    greatest accelerations of the path. If the mission does not allow the duration that results from
-    this pace, the path has the nearest allowed duration. Its speed is then limited by `fastest`
-    [m/s] and not by `pace`. The result is None if there is no such path.
+    greatest accelerations of the path. They determine its duration. If the mission does not allow
+    this duration, the path gets the nearest allowed duration. The greatest speed is then `fastest`
+    [m/s], and `pace` gives only the accelerations. The result is None if the path cannot be flown
+    in this duration.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
@@ -219,10 +222,11 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
     """Return a plan that follows a path exactly, and a solution with the times of the path.
 
     `journey` is a route for each leg of the mission, and `path` is a smooth path along it. The plan
-    has not been simulated. The solution is not converged: it is the initial point of a solve of the
-    mission, without any iteration. The duration and the passing times of waypoints in the solution
-    are those of the path. The solution contains the equations of the vehicle, which the simulation
-    of the plan needs.
+    has not been simulated yet.
+
+    The solution is the initial point of a solve, before any iteration. Its duration and the passing
+    times of its waypoints are those of the path. The solution also holds the equations of the
+    vehicle, which the simulation of the plan needs.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -251,13 +255,14 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
 
 
 def _broken(plan: Plan) -> tuple[Violation, ...]:
-    """Return the limits that the path of a plan breaks by too much for a simulation to succeed.
+    """Return the limits that a planned path violates too much to be worth a simulation.
 
-    `plan` is a plan whose vehicle is exactly on its path. Limits of the airspace, such as zones,
-    may be violated by 0.1 m, because the simulation can remove such a violation. Other limits, such
-    as those on thrust and tilt, may be violated only by the small amounts that interpolation
-    causes. The reason is that feedback in the simulation adds thrust and tilt to those of the path.
-    The simulated flight itself is later checked with wider tolerances.
+    `plan` is a plan whose vehicle is exactly on its path. Two tolerances apply:
+    - Limits of the airspace, such as zones: 0.1 m. The simulation can remove such a violation.
+    - Other limits, such as those on thrust and tilt: the small error of interpolation. Feedback in
+      the simulation needs additional thrust and tilt, so the path itself must keep these limits.
+
+    The simulated flight is later checked with wider tolerances.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
@@ -269,7 +274,7 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 
 
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
-    """Return the energy of steady flight along a journey, which estimates the least energy [J].
+    """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
     A journey is a route for each leg of the mission. The vehicle flies along the journey without
     acceleration, and hovers where the mission asks for it. If the duration is free, the speed is
@@ -302,11 +307,11 @@ def _flat(
 ) -> Trajectories:
     """Return states and controls of a vehicle on a path, by differential flatness.
 
-    The thrust is the mass times the difference between two accelerations: the acceleration of the
-    path, and the acceleration that weight and air alone would cause. The direction of the thrust
-    and the yaw angle determine the attitude. The magnitude of the thrust determines the speed of
-    the rotors, which is the same for all rotors. Implements docs/theory/geometric_plan.md, eqs. (5)
-    and (6). The moments that turn the vehicle are neglected: feedback adds them in the simulation.
+    The thrust vector is mass * (a - a_0). Here a is the acceleration of the path, and a_0 is the
+    acceleration that weight and air alone would cause. The direction of the thrust and the yaw
+    angle determine the attitude. The magnitude of the thrust determines the rotor speed, which is
+    the same for all rotors. The moments that turn the vehicle are neglected: feedback adds them in
+    the simulation. Implements docs/theory/geometric_plan.md, eqs. (5) and (6).
 
     Parameters
     ----------
@@ -387,10 +392,10 @@ def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> 
 
 
 def _mesh(path: SmoothPath) -> Mesh:
-    """Return a mesh that has element boundaries at the times at which a path passes its corners.
+    """Return a mesh with an element boundary at each time at which a path passes a corner.
 
-    At a corner with a hover, both the beginning and the end of the hover are boundaries. Between
-    two successive boundaries of this kind, the mesh has equal elements of at most 0.4 s.
+    At a corner with a hover, both the start and the end of the hover are boundaries. Between two
+    successive boundaries, the time is divided into equal elements of at most 0.4 s.
     """
     passed = [0.0, path.duration, *(t for pair in path.passings for t in pair)]
     hovered = [t for pair in path.passings for t in pair if pair[1] > pair[0]]
@@ -408,9 +413,9 @@ def _mesh(path: SmoothPath) -> Mesh:
 def _headings(told: Scenario, path: SmoothPath, times: FloatArray) -> FloatArray:
     """Return the yaw angle at n times of a path [rad], shape (n,).
 
-    The yaw angle changes from the heading at the start of the mission `told` to the heading at its
-    goal, with zero rate at both ends. `path` gives the duration of the flight. `times` are the n
-    times [s].
+    The yaw angle changes smoothly from the heading at the start of the mission `told` to the
+    heading at its goal. The yaw rate is zero at both ends. `path` gives the duration of the flight.
+    `times` are the n times [s].
     """
     first, last = told.mission.start.yaw, told.mission.goal.yaw
     return first + (last - first) * quintic_progress(times / path.duration)

@@ -94,11 +94,11 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side whose time is limited to the inside of an interval.
+    """Return a right-hand side that clips its time to the inside of an interval.
 
     `rates` is the original right-hand side: time [s] and states -> time derivatives. It may jump at
     the ends of the interval, `first` and `last` [s]. The returned function replaces a time at an
-    end, or outside the interval, by a time slightly inside. The integrator therefore sees no jump.
+    end, or outside, by a time slightly inside the interval. The integrator therefore sees no jump.
     """
     margin = _INSIDE * (last - first)
 
@@ -111,9 +111,10 @@ def _within(rates: Rates, first: float, last: float) -> Rates:
 def discrete(
     A: FloatArray, B: FloatArray, step: float | FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Discretise a linear system over steps with constant input: transition and input matrices.
+    """Return the transition and input matrices of a linear system, for steps of constant input.
 
-    Both matrices are blocks of the exponential of one matrix (Van Loan, 1978).
+    The matrices Phi and Gamma give the state at the end of a step: x_end = Phi x_start + Gamma u.
+    Both are blocks of the exponential of one matrix (Van Loan, 1978).
 
     Parameters
     ----------
@@ -125,9 +126,9 @@ def discrete(
     Returns
     -------
     ndarray, shape (n, n_x, n_x)
-        Transition matrices.
+        Transition matrices Phi.
     ndarray, shape (n, n_x, n_u)
-        Input matrices.
+        Input matrices Gamma.
     """
     n, n_x, n_u = B.shape
     length = np.reshape(step, (-1, 1, 1))

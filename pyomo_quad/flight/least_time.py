@@ -47,9 +47,9 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration in which a mission is possible.
 
-    As a rule, the mesh is refined a few times only. If the least duration is close to the duration
-    that the mission prescribes, the mesh is refined to the mission's own tolerance. It can then be
-    decided whether the prescribed duration is long enough.
+    As a rule, the mesh is refined a few times only. If the least duration is close to the
+    prescribed duration of the mission, the mesh is refined to the mission's own tolerance. The
+    result then shows whether the prescribed duration is long enough.
 
     Parameters
     ----------
@@ -97,10 +97,10 @@ def shortest_flight(
 
 
 def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
-    """Return the variables of a model that hold its free times, which are part of the solution.
+    """Return the variables of a model for the times that the solve is free to choose.
 
-    Free times are the duration, if it is free, and the times at which the vehicle reaches each
-    waypoint and ends each hover at a waypoint.
+    These free times are the duration, if it is free, and for each waypoint the time at which the
+    vehicle arrives and, after a hover, leaves.
 
     Parameters
     ----------
@@ -113,8 +113,8 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     -------
     dict
         Nominal value of each free time [s] -> the Pyomo variable of this time. The nominal value is
-        the scenario's value or estimate of the time. The nominal value is a member of the model's
-        `ContinuousSet` of times. Conditions for the free time are declared at this member.
+        the scenario's value or estimate of the time. It is a point of the model's `ContinuousSet`
+        of times, and the conditions for the free time are declared at this point.
 
     Raises
     ------
@@ -137,7 +137,8 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
 class Approach:
     """Sequence of plans whose durations decrease towards the least duration of a mission.
 
-    Each plan has the least energy for its duration. The plans end as soon as one is not verified.
+    Each plan has the least energy for its duration. The sequence continues as long as simulation
+    verifies each plan.
 
     Attributes
     ----------
@@ -149,8 +150,8 @@ class Approach:
         Solves a scenario of fixed duration and returns a plan. Its arguments are the scenario, a
         solution to start from or None, and `search`.
     search : Search
-        Progress callback of the solves. It stops a solve if the number of mesh points, summed over
-        all iterations, exceeds a limit.
+        Progress callback of the solves. It counts the mesh points of all iterations, and stops a
+        solve whose count exceeds a limit.
     plans : list of Plan
         Plans made so far, in order of decreasing duration.
     """
@@ -166,8 +167,8 @@ class Approach:
     def durations(self) -> tuple[float, ...]:
         """Durations for which the mission is solved, in this order [s].
 
-        They are slightly above the least duration, decrease, and respect the mission's limits on
-        its duration.
+        They decrease towards the least duration, and are slightly above it. All are within the
+        mission's limits on its duration.
         """
         least, greatest = self.scenario.mission.duration_limits
         above = ((1 + share) * self.shortest.objective for share in _ABOVE_LEAST)

@@ -85,7 +85,8 @@ def excess(breach: Violation, unit: str) -> tuple[float, str]:
     """Return the violation of a limit, in the unit printed in reports, and this unit.
 
     `breach` is the violation, `unit` the unit of the limit in the model. If the model limits the
-    square of a speed or distance, the result is the excess of the speed or distance itself.
+    square of a speed or distance, the result refers to the speed or distance itself. For example,
+    the limit 9 m**2/s**2 violated by 7 m**2/s**2 gives an excess of 4 - 3 = 1 m/s.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)

@@ -154,11 +154,12 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb rate of an initial guess, raised where it is too low over terrain.
+    """Return height and climb rate of an initial guess, changed so that it clears the terrain.
 
-    `guess` maps state names to samples at the times `when` [s]. The result maps the names of the
-    states for height [m] and climb rate [m/s] to their changed samples. The result is empty if the
-    airspace has no terrain, or no floor (least height above the ground).
+    `guess` maps state names to samples at the times `when` [s]. Heights below the floor (the least
+    height above the ground) are raised to it, and the climb rate is changed to match. The result
+    maps the names of the states for height [m] and climb rate [m/s] to their changed samples. The
+    result is empty if the airspace has no terrain or no floor.
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:
@@ -176,7 +177,7 @@ def _columns(
 
 
 def _speed_for(distance: float, duration: float) -> float:
-    """Return the cruise speed with which a flight over a distance takes a given duration [m/s].
+    """Return the cruise speed of a flight over a given distance in a given duration [m/s].
 
     `distance` is in m, `duration` in s. The flight starts and ends at rest, with fixed values of
     acceleration and jerk. If the duration is too short for any cruise speed, the result is the

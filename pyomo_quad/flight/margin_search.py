@@ -1,13 +1,13 @@
 """Search for the margins with which flights of a plan in turbulence keep an allowed risk.
 
 The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount by
-which a limit is tightened for the plan. The margins are found by iteration. The covariance of
-flights about a plan gives the margins that the allowed risk requires. A new plan is solved with
-these margins, on the same mesh. Both steps are repeated until the margins hardly change.
+which a limit is tightened for the plan. The margins are found by iteration. First, the covariance
+of flights about a plan gives the margins that the allowed risk requires. Then a new plan is solved
+with these margins, on the same mesh. Both steps are repeated until the margins hardly change.
 
-The plan is then refined and verified. Simulated flights in turbulence test it. If the test flights
-break a limit too often, the margin on this limit is increased. The plan is then solved, refined and
-tested again. See docs/theory/risk.md, eqs. (7) to (9).
+The mesh of the last plan is then refined, and the plan is verified by simulation. Simulated flights
+in turbulence test it. If they break a limit too often, the margin on this limit is increased, and
+the plan is solved, refined and tested again. See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -164,11 +164,11 @@ class _Tried:
     near : tuple of LimitDistance
         Statistics of the distance of flights from each limit over time.
     missed : tuple of Miss
-        Random samples of the distance and speed of flights at the goal and the waypoints, each with
-        its limit.
+        For each limit at the goal or at a waypoint: random samples of the limited quantity. The
+        quantity is the distance from the place or the speed there.
     is_refined : bool
-        Whether the mesh was refined for this plan and the plan was verified. If False, the plan has
-        the mesh of the plan without margins.
+        True if the mesh was refined for this plan, and simulation verified the plan. If False, the
+        plan is on the mesh of the plan without margins.
     """
 
     plan: Plan
@@ -182,8 +182,9 @@ class _Tried:
     def predicted(self) -> float:
         """Upper bound on the probability that a flight along the plan breaks any limit.
 
-        It is the sum of the probabilities for the single limits (Boole's inequality). The limits on
-        rotor speed and thrust are left out, because the controller itself keeps them.
+        It is the sum of the probabilities for the single limits (Boole's inequality), at most 1.
+        The sum leaves out the limits on rotor speed and thrust, because the controller clips its
+        commands to them.
         """
         by_limits = sum(
             limit.present_probability
@@ -194,18 +195,18 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight breaks limits at the goal or waypoints that no margin tightens.
+        """Probability that a flight breaks a limit without margin, at the goal or at a waypoint.
 
-        A margin tightens a limit through the scenario field that sets the limit. Some limits at
-        the goal and the waypoints have no such field. An example is the limit on the distance from
-        the goal at the end. The result is the sum of the probabilities of breaking these limits.
-        Flights break them less often if the plan leaves the rotors a larger reserve of thrust.
+        Some limits cannot be tightened. An example is the limit on the distance from the goal at
+        the end: every plan already reaches the goal exactly. The result is the sum of the
+        probabilities of breaking such limits. A plan that leaves the rotors a larger reserve of
+        thrust reduces it.
         """
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
     def astray(self) -> float:
-        """Distance [m] from the goal at the end of a flight along the plan without gusts.
+        """Distance from the goal [m] at which a flight along the plan without gusts ends.
 
         A large distance shows that the rotors are too weak to follow the plan.
         """
@@ -287,13 +288,14 @@ class MarginSearch:
         self._seed = _SEED - 1
 
     def is_beyond_the_controller(self) -> bool:
-        """Return whether gusts carry hovering vehicles off the goal too often for the allowed risk.
+        """Return whether this controller is too weak for the allowed risk, whatever the margins.
 
-        Vehicles are simulated that hover at the goal in turbulence under the controller. The result
-        is True if the fraction that ends too far from the goal or too fast is at least the allowed
-        risk. Plans with any margins are then expected to break limits too often with this
-        controller. If the predicted probability that a flight along the plan without margins misses
-        the goal is small enough, no hover is simulated, and the result is False.
+        Vehicles that hover at the goal in turbulence are simulated. Some of them end too far from
+        the goal or too fast. If their fraction is at least the allowed risk, the result is True.
+        Flights along a plan are expected to miss the goal at least as often as these vehicles.
+
+        The hovers are simulated only if they are needed. If the predicted probability of missing
+        the goal is small for the plan without margins, the result is False at once.
         """
         if not self._is_followed(self._begun):
             self._hovering = self._missed_by_hover
@@ -337,14 +339,17 @@ class MarginSearch:
         return self._stated(best.tried, best.counts, best.failed)
 
     def _examined(self, tried: _Tried) -> _Tested:
-        """Test a plan by simulated flights; if enough reach the goal, refine it and test it again.
+        """Test a plan by simulated flights, refine it if worthwhile, and return the last test.
 
         `tried` is the plan with its margins. Test flights are simulations under feedback in random
-        turbulence, which count how often a limit is broken. A refinement takes longer than a test.
-        A plan whose test flights miss the goal too often is therefore not refined. Any other plan
-        on a coarse mesh is refined, verified and tested again, because the mesh may be the reason
-        for broken limits. A plan that has been refined before is tested only once. The result is
-        that of the last test.
+        turbulence. They count how often a limit is broken. The steps are:
+        - The plan is tested.
+        - If its mesh is coarse and few test flights miss the goal, the plan is refined and
+          verified. The coarse mesh may be the reason for the other broken limits.
+        - The refined plan is tested again.
+
+        A plan that is already refined is tested only once. A plan whose flights miss the goal too
+        often is also tested only once, because a refinement takes longer than a test.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
@@ -362,15 +367,14 @@ class MarginSearch:
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
         """Reduce margins that cost much energy, as long as test flights confirm the new plan.
 
-        Margins are the amounts by which limits are tightened for the plan. `best` is a plan that
-        passed its test flights. `failed` has the plans tried before `best`, with the results of
-        their test flights. Each new margin is halfway between the margin of `best` and that of the
-        last failed plan. If no plan failed, it is half the margin of `best`.
+        `best` is a plan that passed its test flights. `failed` has the plans that were tried before
+        and failed their tests. Each new margin is the mean of two margins: that of `best` and that
+        of the last failed plan (zero if no plan failed).
 
-        A plan with smaller margins must pass a stricter test than usual. Its test flights that
-        break a limit may be at most half as many as the allowed risk permits. The test is stricter
-        because several plans are tried: one of them may pass the usual test by chance. The result
-        is a plan with smaller margins and its test results, or `best` if no such plan passes.
+        A plan with smaller margins must pass a stricter test: at most half as many flights as usual
+        may break a limit. If several plans are tried, one of them might pass the usual test by
+        chance. The result is the plan of least energy that passed, with its test results. It is
+        `best` if no other plan passes.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -394,11 +398,10 @@ class MarginSearch:
         return best
 
     def unfinished(self, why: str) -> Plan:
-        """Return the last flyable plan of a search for margins that ended early.
+        """Return the last plan that simulation confirmed, for a search that ended early.
 
-        A flyable plan is a plan that simulation confirms. The plan's record of the risk states the
-        reason ``why`` the search ended, in words. The risk is the probability that a flight breaks
-        a limit. No test flights in turbulence confirm the risk of the returned plan.
+        The record `risk` of the plan states the reason ``why`` the search ended, in words. The
+        record also says that the plan's risk is untested: it counts no test flights in turbulence.
         """
         plan, margins = self._last
         taken = RiskTaken(
@@ -448,9 +451,9 @@ class MarginSearch:
     def _verified(self, tried: _Tried) -> _Tried:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
-        Margins are the amounts by which limits are tightened for the plan. `tried` is the plan on a
-        coarse mesh. The result is the refined plan with newly predicted statistics of flights. A
-        plan that has been refined before is returned unchanged.
+        `tried` is the plan on a coarse mesh. The result is the refined plan, for which the
+        statistics of flights are predicted again. A plan that has been refined before is returned
+        unchanged.
         """
         if tried.is_refined:
             return tried
@@ -489,10 +492,9 @@ class MarginSearch:
         Returns
         -------
         _Tried or None
-            The plan with predicted statistics of flights along it; None if the solve fails. The
-            plan is on the mesh of `last` and is not refined. There is one exception: if the mission
-            asks for the least duration, the solve does not start from `last`, and the plan is
-            refined.
+            The plan with predicted statistics of flights along it; None if the solve fails. As a
+            rule, the plan is on the mesh of `last`. If the mission asks for the least duration, the
+            plan is solved anew, independently of `last`, and its mesh is refined.
         """
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
@@ -508,16 +510,16 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        A plan is accepted if two conditions hold. The flight without gusts ends near the goal. The
-        predicted probability that a flight in turbulence misses the goal or a waypoint is at most
-        the larger of two numbers: a fixed fraction of the allowed risk, and a fixed multiple of the
-        fraction of hovering vehicles that gusts carry off the goal.
+        A plan is accepted if both conditions hold:
+        - The flight along the plan without gusts ends at most 0.1 m from the goal.
+        - The predicted probability that a flight in turbulence misses the goal is at most 0.3 r or
+          1.2 h, whichever is greater. Here r is the allowed risk, and h is the fraction of hovering
+          vehicles that gusts carry off the goal.
 
-        If `tried` is accepted, it is returned unchanged. Otherwise plans are solved that leave a
-        part of thrust and tilt as a reserve for the controller. A bisection searches for the
-        smallest reserve with which a plan is accepted. The result is the accepted plan of least
-        cost. If no plan is accepted, the result is the plan with the smallest probability of a
-        miss.
+        If `tried` is accepted, it is returned unchanged. Otherwise a bisection searches for the
+        smallest reserve of thrust and tilt with which a plan is accepted. The result is the
+        accepted plan of least cost. If no plan is accepted, it is the plan that is least likely to
+        miss the goal.
         """
         if self._is_followed(tried):
             return tried
@@ -556,9 +558,9 @@ class MarginSearch:
         limits the distance from the goal and the speed at the end of a flight. The result is the
         fraction of the vehicles that break one of these limits after the hover.
 
-        Vehicles that have just arrived break the limits at least as often as vehicles that hovered.
-        Whatever margins a plan has, the fraction of its flights that miss the goal is therefore at
-        least the result.
+        A vehicle that has just arrived is expected to break the limits at least as often as a
+        vehicle that has hovered. The result is therefore a lower bound on the fraction of flights
+        that miss the goal, for every plan.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
@@ -581,11 +583,10 @@ class MarginSearch:
     def _reserve(self, share: float) -> dict[str, float]:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
-        Margins are amounts by which limits are tightened for the plan. The controller needs the
-        reserve to follow the plan in gusts. Each margin is the fraction ``share`` of the value of
-        `greatest_margin`, above which the vehicle could not even hover. The result maps each
-        scenario field to its margin. If the duration is free, the result also has a margin that
-        raises the lower limit of the duration, because a slower flight needs less thrust and tilt.
+        The controller needs the reserve to follow the plan in gusts. Each margin is ``share`` times
+        the largest margin that leaves room for the mission (`greatest_margin`). The result maps
+        each scenario field to its margin. If the duration is free, the result also has a margin
+        that makes the least duration longer. A slower flight needs less thrust and tilt.
         """
         mission = self._scenario.mission
         part = min(share, _LARGEST_OF_FREE) if mission.is_free else share
@@ -602,9 +603,8 @@ class MarginSearch:
         """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
 
         The controller's limit is the largest tilt that it may command. With these amounts as
-        margins, a plan stays within the controller's limit. The result maps the scenario fields of
-        the roll and pitch limits to the amounts. It is empty if the scenario does not limit the
-        controller's tilt.
+        margins, a plan stays within this limit. The result maps the scenario fields of the roll and
+        pitch limits to the amounts. It is empty if the controller's tilt has no limit.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -615,17 +615,20 @@ class MarginSearch:
         }
 
     def _settled(self, tried: _Tried) -> _Tried:
-        """Solve with new margins repeatedly, until the plan has the margins that its risk requires.
+        """Solve with new margins repeatedly, until the margins agree with the allowed risk.
 
-        Margins are the amounts by which limits are tightened for the plan. The covariance of
-        flights about a plan determines the margins that the allowed risk requires. A plan with
-        these margins has another covariance, and so requires other margins. The solves are
-        therefore a fixed-point iteration, which starts from the plan `tried`. The result is the
-        last plan that was accepted. The iteration ends early after a failed solve, after `_PLANS`
-        solves, or if the user stops the search. It also ends early if flights can follow the
-        present plan to the goal, but are predicted to miss the goal too often along the new plan.
-        The new plan is then rejected, and the present plan is the result. Test flights show later
-        whether the margins of this plan are large enough.
+        The covariance of flights about a plan determines the margins that the allowed risk
+        requires. A plan with these margins has another covariance, and so requires other margins.
+        The solves are therefore a fixed-point iteration. It starts from the plan `tried` and ends
+        in one of these cases:
+        - The margins of the present plan are close to those that it requires.
+        - `_PLANS` plans were solved, or the user stops the search.
+        - A solve fails.
+        - Flights along the new plan are predicted to miss the goal too often, but flights along the
+          present plan are not. The new plan is then rejected.
+
+        The result is the last plan that was not rejected. Test flights show later whether its
+        margins are large enough.
         """
         for _ in range(_PLANS):
             wanted = self._margins(tried)
@@ -640,12 +643,13 @@ class MarginSearch:
     def _margins(self, tried: _Tried) -> dict[str, float]:
         """Return the margins that the allowed risk requires, from predicted statistics of flights.
 
-        Margins are the amounts by which limits are tightened for the plan. The risk is the
-        probability that a flight in turbulence breaks any limit. Some limits are hardly ever
-        broken, and need no margin. Two probabilities are subtracted from the allowed risk: that of
-        missing the goal, and that of breaking the limits without margin. The rest of the risk is
-        divided equally among the other limits. `tried` is a plan with the statistics of flights
-        that follow it. The result maps each scenario field to its margin.
+        `tried` is a plan with the statistics of flights that follow it. The result maps each
+        scenario field to its margin.
+
+        A limit that is hardly ever broken needs no margin. Each of the other n limits may be broken
+        with the probability (r - p_goal - p_rare) / n, which determines its margin. Here r is the
+        allowed risk, p_goal the probability of missing the goal, and p_rare that of breaking a
+        limit without margin. The numerator is never taken less than r / 10.
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -694,11 +698,11 @@ class MarginSearch:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        `tried` is the plan with its margins, and `seed` the seed of the random winds. Among all
-        flights together, the risk allows a certain number that break a limit. A part of the flights
-        is simulated first. If more than this number break a limit already in this part, the plan
-        has failed, and the other flights are not simulated. With `is_whole`, all flights are
-        simulated at once.
+        `tried` is the plan with its margins, and `seed` the seed of the random winds. The number of
+        flights that may break a limit is the allowed risk times the number of all test flights. A
+        part of the flights is simulated first. If more than the allowed number break a limit in
+        this part, the plan has failed and the test ends. Otherwise the other flights are simulated,
+        too. With `is_whole`, all flights are simulated at once.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -741,16 +745,14 @@ class MarginSearch:
     def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        Margins are the amounts by which limits are tightened for the plan. `tested` has the results
-        of the test flights and the present margins. The result maps each scenario field to its new
-        margin.
+        `tested` has the results of the test flights and the present margins. The result maps each
+        scenario field to its new margin.
 
-        For some limits, no margin can be increased. Examples are the limit on the distance from the
-        goal at the end, which has no margin, and limits whose margin is already the largest
-        possible. If flights break such a limit too often, the plan must leave a larger reserve of
-        thrust, rotor speed and tilt. A plan with a larger reserve is easier to follow in gusts. The
-        increase of the reserve is proportional to the fraction of flights that break the most
-        frequently broken of these limits. It is between a least and a largest increase.
+        Some limits have no margin, such as the limit on the distance from the goal at the end.
+        Other limits already have their largest margin. If flights break one of these limits too
+        often, the plan must leave a larger reserve of thrust, rotor speed and tilt. The reserve
+        makes the plan easier to follow in gusts. Its increase is proportional to the fraction of
+        flights that break the worst of these limits, within fixed bounds.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -789,11 +791,10 @@ class MarginSearch:
     def _step_at_waypoints(self, name: str) -> float:
         """Return the least increase of the margin on a waypoint's radius or speed [m or m/s].
 
-        `name` is the scenario field of the margin, which says whether the margin is on the radius
-        or on the speed. The result is the fraction `_SHARE_OF_PLACE` of the smallest radius or
-        speed limit of the waypoints. The increase does not depend on the covariance of flights,
-        because the covariance may be too small: vehicles whose thrust is at its limit deviate from
-        the plan by more than the covariance predicts.
+        `name` is the scenario field of the margin: the radius or the speed. The result is the
+        fraction `_SHARE_OF_PLACE` of the smallest radius or speed limit of the waypoints. It is
+        independent of the predicted covariance of flights, which is too small for vehicles whose
+        thrust is at its limit.
         """
         waypoints, key = self._scenario.mission.waypoints, name.partition(".")[2]
         return _SHARE_OF_PLACE * min(size for w in waypoints if (size := getattr(w, key)))
@@ -813,9 +814,9 @@ class MarginSearch:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice to the user: how weak turbulence must be for flights to reach the goal.
+        """Return advice to the user: the strength of turbulence in which flights reach the goal.
 
-        The greatest admissible strength of the turbulence is computed from the predicted statistics
+        The advice is the greatest admissible strength. It is computed from the predicted statistics
         of flights along the plan `tried`.
         """
         allowed = _SHARE_OF_GOAL * self._risk

@@ -1,8 +1,8 @@
 """Margins of a plan: amounts by which limits are tightened, to let a controller correct errors.
 
-A margin applies to one field of the scenario and has the unit of this field. The fields are
-parameters of the compiled problem, so that the problem can be solved with other margins without
-compiling it again.
+A margin applies to one field of the scenario, such as "airspace.floor", and has the unit of this
+field. The fields are parameters of the compiled problem. The problem can therefore be solved with
+other margins without compiling it again.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -79,10 +79,10 @@ class RiskTaken:
     predicted : float
         Risk predicted from the covariance of flights, by a linear model.
     failed, flown : int
-        Number of test flights that broke a limit, and number of all test flights. The test flights
-        were not used to find the margins.
+        Number of test flights that broke a limit, and number of all test flights. The margins were
+        found without these flights.
     is_satisfied : bool
-        Whether the fraction of failed test flights does not exceed the allowed risk.
+        Whether the fraction of failed test flights is at most the allowed risk.
     margins : mapping
         Field of the scenario -> amount by which the plan tightened it, in the field's unit.
     paper_energy_J : float
@@ -90,17 +90,17 @@ class RiskTaken:
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     least : float
-        Lower bound on the risk of every plan; zero if it was not computed. To find it, vehicles
-        that hover at the goal in turbulence are simulated. The bound is the fraction of these
-        vehicles that are farther from the goal, or faster, than is allowed at the end of a flight.
+        Lower bound on the risk of every plan; zero if it was not computed. It is found by a
+        simulation of vehicles that hover at the goal in turbulence. The bound is the fraction of
+        them that end farther from the goal, or faster, than a flight may end.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
         Reason why the search for margins ended early; empty if the search was completed.
     gains : mapping
-        Gains of the controller that the search changed, because flights with the default gains
-        break limits too often: field of the table ``baseline.gains`` -> its value. It is empty if
-        the plan is for the gains of the scenario.
+        Gains of the controller that the search changed: field of the table ``baseline.gains`` ->
+        its value. Gains are changed if flights with the default gains break limits too often. The
+        mapping is empty if the plan is for the gains of the scenario.
     """
 
     asked: float
@@ -168,8 +168,8 @@ class RiskTaken:
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     """Return the scenario with its limits tightened by margins.
 
-    `margins` maps the full name of a field of the scenario, such as "airspace.floor", to the amount
-    by which the limit in this field is tightened, in the unit of the field.
+    `margins` maps the full name of a scenario field, such as "airspace.floor", to its margin. The
+    margin is the amount by which the limit in this field is tightened, in the unit of the field.
     """
     told = scenario.mission
     mission: dict[str, Any] = {
@@ -194,7 +194,7 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
 
 
 def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, float]]:
-    """Yield, for each bound of a limit, how much nearer to this bound a flight comes than its plan.
+    """Yield how much nearer a flight comes to each bound of a limit than its plan.
 
     Parameters
     ----------
@@ -205,8 +205,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
     ------
     (str, float)
         Scenario field that sets a bound of the limit, and how much nearer to this bound the flight
-        comes than the plan, in the unit of the limit. The two are compared at equal times; the
-        largest difference counts.
+        comes, in the unit of the limit. For an upper bound, the number is the maximum of flown -
+        planned over all times. For a lower bound, it is the maximum of planned - flown.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -218,9 +218,9 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
     The returned waypoint has a smaller radius and a lower speed limit than `waypoint`. Its hover
-    begins earlier and ends at the same time. `margins` maps the full name of a scenario field to
-    the amount by which its limit is tightened. Three of these names are used: `RADIUS` [m], `SPEED`
-    [m/s] and `HOLD` (duration of the hover) [s].
+    begins earlier, and ends at the same time as that of `waypoint`. `margins` maps the full name of
+    a scenario field to the amount by which its limit is tightened. Three of these names are used:
+    `RADIUS` [m], `SPEED` [m/s] and `HOLD` (duration of the hover) [s].
     """
     changed: dict[str, float] = {}
     if waypoint.radius:
@@ -240,8 +240,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights that follow a plan must pass the waypoints.
 
-    To leave a margin, a plan may begin its hovers earlier than the mission requires, by the time
-    `lead`. A flight that follows the plan need not hover before the time that the mission requires.
+    As a margin, a plan may begin its hovers earlier than the mission requires, by the time `lead`.
+    A flight that follows the plan is required to hover only from the mission's own time on.
 
     Parameters
     ----------
@@ -268,8 +268,8 @@ def greatest_margin(scenario: Scenario, name: str) -> float:
 
     `name` is the full name of the field, such as "airspace.floor". A margin is the amount by which
     the limit in this field is tightened for a plan, in the unit of the field. With a larger margin,
-    a place of the mission would break the tightened limit, or the vehicle could hardly hover. Even
-    with a smaller margin, the mission may be infeasible.
+    start, goal or a waypoint would lie outside the tightened limit, or the vehicle could hardly
+    hover. The mission may become infeasible at smaller margins already, for other reasons.
     """
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:

@@ -1,10 +1,10 @@
 """Compiled optimal control problem of a mission, and its solution by continuation.
 
-Without regeneration, a rotor that brakes returns no energy: a negative power is replaced by zero.
-The power then has a kink at zero, which makes the problem hard to solve. The kink is smoothed. The
-parameter `power.smoothing` of the Pyomo model sets the width of the smoothing [W]. A larger width
-makes the problem easier. Continuation solves the problem with larger widths first. The solution of
-each problem is the initial point for the next.
+Without regeneration, a rotor that brakes returns no energy: a negative power counts as zero. The
+power therefore has a kink at zero, which makes the problem hard to solve. The model smooths the
+kink. The parameter `power.smoothing` of the Pyomo model sets the width of the smoothing [W]. A
+larger width makes the problem easier. Continuation solves the problem with larger widths first. The
+solution of each problem is the initial point for the next.
 """
 
 from __future__ import annotations
@@ -74,10 +74,9 @@ class MissionProblem:
         Time spent on each phase of the problem's preparation [s]: "build" and "compile".
     easier : tuple of mapping
         Parameter values (parameter name -> value) that make the problem easier, the easiest first.
-        Each mapping smooths the power over a larger width than the mission does. The power has a
-        kink at zero, where rotors begin to brake, because without regeneration a braking rotor
-        returns no energy. A final plan never uses these values. The tuple is empty for a mission
-        with regeneration.
+        Each mapping smooths the kink of the power (see the module) over a larger width than the
+        mission does. The solves of continuation use these values; the final plan uses the mission's
+        own. The tuple is empty for a mission with regeneration.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -129,10 +128,12 @@ class MissionProblem:
         """Tolerances of the mesh refinement on errors that occur between collocation points.
 
         Such errors are violations of limits and errors of the states. A simulation of the planned
-        controls reveals them. For the package's own model and an accuracy below the highest level,
-        `proof`, the tolerances are wide, so that a coarse mesh suffices. Two later steps then
-        remove the errors: the module `flight.tracking` corrects the controls by feedback before the
-        simulation, and the module `flight.stricter_limits` tightens the limits that the simulated
+        controls reveals them. At the highest accuracy, `proof`, and for a user's own model, the
+        tolerances are tight.
+
+        In all other cases the tolerances are wide, so that a coarse mesh suffices. Two later steps
+        remove the errors. The module `flight.tracking` corrects the controls by feedback before the
+        simulation. The module `flight.stricter_limits` tightens the limits that the simulated
         flight breaks.
         """
         figures = FIGURES[self.told.solver.accuracy]
@@ -151,10 +152,10 @@ class MissionProblem:
     def stricter_refinement(self, share: float) -> RefinementOptions:
         """Return the options of the mesh refinement with two of its tolerances reduced.
 
-        The two tolerances concern the errors of the states and the violations of limits between the
-        collocation points. The property `allowance` has their unreduced values. Both are multiplied
-        by the factor `share`, less than 1. If there is no tolerance on the errors of the states,
-        the result is the mission's own options, unchanged.
+        The two tolerances limit the errors of the states and the violations of limits between the
+        collocation points. Their usual values are in the property `allowance`. Both are multiplied
+        by the factor `share`, less than 1. If `allowance` has no tolerance on the errors of the
+        states, the mission's own options are returned unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -173,9 +174,9 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Full name of a parameter -> value that replaces the mission's value. If given, the
-            solutions on intermediate meshes are not made into usable plans (plans confirmed by
-            simulation at lower accuracy than requested).
+            Full name of a parameter -> value that replaces the mission's value. If given, no usable
+            plans are made from the solutions on intermediate meshes. (A usable plan is confirmed by
+            simulation, at lower accuracy than requested.)
         **chosen
             Arguments of the method `Problem.solve` that replace those of the property `arguments`.
 
@@ -193,22 +194,23 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        Without regeneration, a rotor that brakes returns no energy, so that the power has a kink at
-        zero. The easiest values smooth this kink over the largest width. A mission with
-        regeneration has no such values, and is solved with its own values. ``chosen`` holds
-        arguments of the method `Problem.solve` that replace those of the property `arguments`.
+        The easiest values smooth the kink of the power at zero over the largest width (see the
+        module). A mission with regeneration has no kink, and is solved with its own values.
+        ``chosen`` holds arguments of the method `Problem.solve` that replace those of the property
+        `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
-        Without regeneration, the power has a kink at zero, because a rotor that brakes returns no
-        energy. An easier problem smooths this kink over a larger width than the mission. The easier
-        problems are solved in order of decreasing width, each from the previous solution. The
-        mission itself is solved last. If the solve of the mission fails on a refined mesh, the
-        easiest problem is solved on that mesh, and the continuation is repeated from there. A
-        mission with regeneration has no easier problems and is solved once.
+        An easier problem smooths the kink of the power at zero over a larger width than the mission
+        (see the module). The easier problems are solved in order of decreasing width, each from the
+        previous solution. The mission itself is solved last, with refinement of the mesh.
+
+        The solve of the mission may fail on a refined mesh. The easiest problem is then solved on
+        that mesh, and the continuation is repeated from its solution. A mission with regeneration
+        has no easier problems and is solved once.
 
         Parameters
         ----------
@@ -252,15 +254,15 @@ class MissionProblem:
         mesh : Mesh
             Mesh of the first solve; not used if `reached` is given.
         reached : Solution, optional
-            Solution of a still easier problem. The first solve starts from it, on its mesh.
+            Known solution of an even easier problem. The first solve starts from it, on its mesh.
 
         Returns
         -------
         Solution
             Result of the last solve, converged or not.
         Solution or None
-            `reached` if it was given, otherwise the first converged solution with easier values.
-            None if there is none.
+            `reached` if it was given. Otherwise the first converged solution with easier values, or
+            None if no solve with easier values converged.
         """
         first = reached
         for numbers in easier:
@@ -280,9 +282,9 @@ class MissionProblem:
     def _as_far_as(self, stopped: Solution) -> Solution:
         """Return the last iterate of an interrupted solve, evaluated with the mission's parameters.
 
-        `stopped` is the result of the interrupted solve, which had easier parameter values. With
-        these values, the kink of the power at zero, where rotors begin to brake, is smoothed over a
-        larger width. The energy and the errors of the returned solution are computed with the
+        `stopped` is the result of the interrupted solve. The solve had easier parameter values,
+        with which the kink of the power at zero is smoothed over a larger width (see the module).
+        The returned solution has the same iterate. Its energy and errors are computed with the
         mission's own values.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
@@ -304,10 +306,10 @@ class MissionProblem:
 
         The result is a trajectory that can serve as the initial guess of the mission's problem.
         `other` is the solution of the other problem, and ``own`` is any solution of the mission's
-        problem. Variables that the other problem lacks get their values from ``own``. An example is
-        the battery's charge, which a minimum-time problem lacks. If the two problems differ in
-        their static variables (variables that are constant in time), the static variables also get
-        their values from ``own``.
+        problem. Variables that the other problem lacks get their values from ``own``. For example,
+        a minimum-time problem lacks the battery's charge. Static variables are variables that are
+        constant in time. If the two problems have different static variables, the values of all
+        static variables are those of ``own``.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -379,10 +381,11 @@ class MissionProblem:
         """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
-        result if the user or the time limit stops the solve. The attribute `search`, the progress
-        callback of the solves, stores the usable plan. Without `search` nothing happens. The mesh
-        refinement calls this method after the solve on each mesh. No plan is made on the last mesh,
-        whose error is within the tolerance.
+        result if the user or the time limit stops the solve. The progress callback `search` stores
+        it; without `search`, nothing happens.
+
+        The mesh refinement calls this method after the solve on each mesh. If the error is already
+        within the tolerance, the refinement ends on this mesh, and no usable plan is made.
         """
         search = self.search
         if search is None:

@@ -46,8 +46,8 @@ class OrderSearch:
         to the next, from hover to hover. The cost of a leg is its energy plus the mission's price
         of time [W] times its duration.
     bound_J : float
-        Lower bound on the cost of every order of the waypoints [J]. For a leg whose flight was not
-        solved, the bound uses an optimistic prediction of the cost.
+        Lower bound on the cost of every order of the waypoints [J]. If the flight of a leg was not
+        solved, the bound uses an optimistic prediction of its cost.
     solved, legs : int
         Number of legs whose flight was solved, and number of all legs that orders may use.
     """
@@ -65,10 +65,10 @@ class OrderSearch:
 
     @property
     def gap(self) -> float:
-        """Fraction by which the cost of the order found exceeds the lower bound, `bound_J`.
+        """Relative gap between the cost of the order found and the lower bound: cost / bound - 1.
 
-        The bound holds for the cost of every order. The order found therefore costs at most this
-        fraction more than the cheapest order.
+        The lower bound, `bound_J`, holds for the cost of every order. The order found therefore
+        costs at most this fraction more than the cheapest order.
         """
         return self.cost_J / self.bound_J - 1.0
 
@@ -76,9 +76,9 @@ class OrderSearch:
     def line(self) -> str:
         """Summary of the search for the order of the waypoints, in one line.
 
-        It states the number of waypoints, the numbers of legs solved and of all legs, and a
-        fraction. The order found costs at most this fraction more than the best order. A leg is the
-        flight from one place to the next.
+        It states the number of waypoints, the gap to the best order in per cent (see `gap`), the
+        number of legs solved, and the number of all legs. A leg is the flight from one place to the
+        next.
         """
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
@@ -223,8 +223,8 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
     """Return a table of leg costs in which infinite costs are replaced by large finite numbers.
 
     An infinite cost marks a leg (flight between two places) that is not allowed. Some algorithms
-    need finite numbers. All infinite costs in the table `costs` are replaced by one number. This
-    number exceeds the cost of every order that uses allowed legs only.
+    need finite numbers. Each infinite cost in the table `costs` is therefore replaced by the same
+    large number. It exceeds the cost of every order that uses allowed legs only.
     """
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
@@ -313,9 +313,9 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of the places between start and goal.
 
-    The result is the larger of two bounds. One bound is the cost of the cheapest assignment of a
-    successor to each place. The other bound uses spanning trees [1]_ and symmetric costs. See
-    docs/theory/orders.md.
+    The result is the larger of two bounds (see docs/theory/orders.md). The first bound is the cost
+    of the cheapest assignment of a successor to each place. The second bound is that of Held and
+    Karp by spanning trees [1]_; it is computed for symmetric costs.
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
@@ -326,8 +326,8 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of each leg (flight from one place to another), for at least one place between start
         and goal.
     reached : float
-        Cost of a known order. The result never exceeds this cost. The bound by spanning trees is
-        computed by an iteration, and `reached` determines the length of its steps.
+        Cost of a known order. The result is at most this cost. The cost also determines the step
+        length of the iteration that computes the second bound.
 
     Returns
     -------
@@ -346,16 +346,15 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
     """Return leg costs that do not depend on direction, for the lower bound by spanning trees.
 
-    A leg is the flight from one place to another. Climbs and head winds make its cost depend on the
-    direction. To remove most of this dependence, each place gets a number, its potential. The cost
-    of a leg is increased by the potential of the place where the leg begins, and reduced by the
-    potential of the place where the leg ends. The potentials of start and goal are zero. The cost
-    of an order therefore does not change; see docs/theory/orders.md, eq. (3). Of the two directions
-    between two places, the cheaper one then gives the symmetric cost.
+    A leg is the flight from one place to another. Climbs and head winds make its cost c_ij depend
+    on the direction. To remove most of this dependence, each place i gets a number p_i, its
+    potential. The cost of a leg becomes c'_ij = c_ij + p_i - p_j, see docs/theory/orders.md, eq.
+    (3). The potentials cancel in the cost of an order, because those of start and goal are zero.
+    The symmetric cost is the smaller of c'_ij and c'_ji.
 
     `costs` is the table of leg costs. `finite` is the same table with large numbers in place of
-    infinite costs. The result is a table of the same shape. Legs that are allowed in one direction
-    only do not affect the potentials.
+    infinite costs. The result is a table of the same shape. The potentials are computed from the
+    legs that are allowed in both directions.
     """
     potential = np.zeros(len(costs))
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
@@ -373,11 +372,13 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of places, by minimum spanning trees.
 
     A leg is the flight from one place to another. An order is a spanning tree in which each place
-    between start and goal has two legs. In the minimum spanning tree, a place may have fewer or
-    more legs. Each place has a multiplier, which penalises a number of legs other than two.
-    Subgradient steps maximise the bound over the multipliers; see docs/theory/orders.md, eq. (5).
-    `costs` is the table of symmetric leg costs. `reached` is the cost of a known order. The length
-    of each step is proportional to the difference between `reached` and the present bound.
+    between start and goal has exactly two legs. Without this condition, the cheapest spanning tree
+    costs at most as much as the cheapest order, so that its cost is a lower bound. Each place has a
+    multiplier, which penalises a number of legs other than two. Subgradient steps maximise the
+    bound over the multipliers; see docs/theory/orders.md, eq. (5).
+
+    `costs` is the table of symmetric leg costs. `reached` is the cost of a known order. The step
+    length is proportional to the difference between `reached` and the present bound.
     """
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0

@@ -12,11 +12,12 @@ quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
 linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
 RotorPy's rotors have no inertia. Two moments are therefore added to RotorPy's own: the gyroscopic
-moment, and the reaction of the body to accelerating rotors. RotorPy's motors follow a command with
-a lag. The command is therefore computed from the desired rotor acceleration and the lag. Energy is
-the integral of the declared power at RotorPy's rotor speeds. Some features of RotorPy's own
-simulation differ from the declared equations. They are off by default; `Habits` switches them on
-one at a time.
+moment, and the reaction of the body to accelerating rotors. RotorPy's motors follow a speed command
+with a lag. The command is chosen so that the motors have the desired rotor acceleration in spite of
+the lag. Energy is the integral of the declared power at RotorPy's rotor speeds.
+
+Some features of RotorPy's own simulation differ from the declared equations. They are off by
+default; `Habits` switches them on one at a time.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -123,10 +124,12 @@ class BodyFrame:
 class Habits:
     """Switches for features of RotorPy's own simulation that differ from the scenario's model.
 
-    RotorPy's own simulation may have another value of gravity and another tolerance of the
-    integrator. Its rotors cause no gyroscopic moment, and do not turn the body when they
-    accelerate. Its rotor commands change only at a fixed rate. With the default values of the
-    switches, RotorPy's vehicle obeys the equations of the scenario's Pyomo model.
+    With the default values of the switches, RotorPy's vehicle obeys the equations of the scenario's
+    Pyomo model. RotorPy's own simulation differs from them in these points:
+    - Its gravity and the tolerance of its integrator may have other values.
+    - Its rotors cause no gyroscopic moment.
+    - Its rotors do not turn the body in yaw when they accelerate.
+    - Its rotor commands change only at a fixed rate.
     """
 
     gravity: float | None = None
@@ -470,9 +473,9 @@ class OutsidePlant:
         of the joint state under the control law `law`. It raises a SolveError if the vehicle
         tumbles.
 
-        The period ends at the time `last` [s]. The law may jump at the start of the period. The
-        time `inside` [s] is just after the start. For earlier times, the law is evaluated at
-        `inside`.
+        The period ends at the time `last` [s]. The time `inside` [s] is just after its start, at
+        which the law may jump. For earlier times, the law is evaluated at `inside`, so that the
+        integrator sees no jump.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
@@ -483,13 +486,13 @@ class OutsidePlant:
         return slope
 
     def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
-        """Return a law that keeps the rotor-speed commands that ``law`` gives at time t [s].
+        """Return a law that keeps the rotor-speed commands of ``law`` constant from time t [s] on.
 
-        `joint` is the joint state at time t. Both laws return rotor accelerations. The command for
-        a rotor is its speed at time t, plus the time constant of the motors times the acceleration
-        that ``law`` returns for time t. The motors follow the constant commands with a lag, and the
-        returned law gives the resulting accelerations. RotorPy's own simulation also keeps the
-        commands constant between two evaluations of its controller.
+        Let w be the speed of a rotor, alpha the rotor acceleration that ``law`` returns, and tau
+        the time constant of the motors. The command at time t is c = w + tau alpha, evaluated with
+        the joint state `joint` at this time. The motors follow the constant command with a lag, so
+        that the returned law gives the rotor acceleration (c - w) / tau at later times. RotorPy's
+        own simulation also keeps the commands constant between two evaluations of its controller.
         """
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
@@ -531,9 +534,8 @@ def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
     In RotorPy the wind acts only through the airspeed. With the setting `wind.coupling =
-    "acceleration"`, the wind of a scenario is an acceleration of the vehicle. This wind follows eq.
-    (9) of Yacef et al., the source of this package's quadrotor model. No error is raised if the
-    wind is zero.
+    "acceleration"`, the wind of a scenario is an acceleration of the vehicle, as in eq. (9) of
+    Yacef et al., the source of this package's quadrotor model. A zero wind is accepted.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -573,9 +575,8 @@ def fly_outside(
     reference : Reference
         Path that the vehicle follows under feedback.
     plan : Plan, optional
-        Plan whose controls are flown in open loop, or whose path is the reference. If the flight
-        ends off the goal, the plan's costates give an estimate of the energy that the vehicle still
-        needs.
+        Plan whose controls are flown in open loop, or whose path is the reference. Its costates
+        give an estimate of the energy that is still needed if the flight ends off the goal.
 
     Returns
     -------
@@ -624,9 +625,9 @@ def fly_under(
         Control law: takes time, the states of the scenario's Pyomo model and the law's own states;
         returns rotor accelerations [rad/s^2] and the time derivatives of the law's own states.
     plan : Plan, optional
-        Plan whose initial state is the initial state of the flight. The plan's costates give an
-        estimate of the energy that is needed to reach the goal from the end of the flight. Without
-        a plan, the flight begins in hover at the start of the mission, and there is no estimate.
+        Plan whose initial state is the initial state of the flight. Its costates give an estimate
+        of the energy that is still needed if the flight ends off the goal. Without a plan, the
+        flight begins in hover at the start of the mission, and this energy is not estimated.
     own : sequence of float
         Initial values of the law's own states.
     borders : sequence of float, optional
@@ -712,16 +713,13 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
-    The law returns the planned rotor accelerations of RotorPy's vehicle `plant`. The times are the
-    boundaries of the plan's mesh elements.
+    The law returns the planned acceleration alpha of each rotor of RotorPy's vehicle `plant`. The
+    times are the boundaries of the plan's mesh elements.
 
-    There is one exception: the attribute `plant.habits` may prescribe that the motors receive
-    rotor-speed commands at a fixed rate. The simulation then computes each command as the actual
-    rotor speed, plus the time constant of the motors times the acceleration that the law returns.
-    The law therefore returns the planned rotor acceleration plus a correction. The correction is
-    the planned minus the actual rotor speed, divided by the time constant. The resulting command
-    does not depend on the actual rotor speed. It is the planned rotor speed plus the time constant
-    times the planned acceleration.
+    If `plant.habits` prescribes rotor-speed commands at a fixed rate, the simulation computes each
+    command from the result of the law: command = w + tau * result. Here w is the actual rotor speed
+    and tau the time constant of the motors. The law then returns alpha + (w_plan - w) / tau, where
+    w_plan is the planned rotor speed. The command is therefore w_plan + tau * alpha, as planned.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

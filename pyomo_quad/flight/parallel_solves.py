@@ -1,9 +1,8 @@
 """Solves of one mission side by side, in forked copies of this process.
 
-Each copy sends its solution back to this process. The solution is sent without the compiled
-problem, which this process has already. Sending it therefore takes a few milliseconds only. Each
-copy also sends back its best usable plan: a plan that simulation confirms at lower accuracy than
-requested.
+Each copy sends its solution back to this process, without the compiled problem, which this process
+has already. The transfer therefore takes a few milliseconds only. Each copy also sends back its
+best usable plan: a plan that simulation confirms at lower accuracy than requested.
 """
 
 from __future__ import annotations
@@ -38,10 +37,12 @@ def solve_side_by_side(
     """Carry out solves of a mission, as many at the same time as there are cores.
 
     Solves run in this process and in forked copies of it. The solutions do not depend on the number
-    of cores. If this function is called during another call of itself, all solves run in this
-    process, one after the other. A single solve also runs in this process. If the user or the time
-    limit stops the solves, this process no longer waits for the copies. It calls the unfinished
-    solves itself, and each of them then ends at once with a result that has not converged.
+    of cores. All solves run in this process, one after the other, if there is a single solve or a
+    single core. The same holds for a call of this function from inside one of its own solves.
+
+    If the user or the time limit stops the solves, this process no longer waits for the copies. It
+    calls the unfinished solves itself. Each of them ends at once and returns a result that has not
+    converged.
 
     Parameters
     ----------
@@ -99,9 +100,9 @@ class _Sent(NamedTuple):
     """Result of a solve in a forked copy of this process, as the copy sends it back.
 
     `solution` is the solution. `usable` is the best usable plan that the copy made: a plan that
-    simulation confirms at lower accuracy than requested. `usable` is None if the copy made no
-    better usable plan than the one that existed before the fork. `work` is the number of mesh
-    points, summed over the iterations of Ipopt.
+    simulation confirms at lower accuracy than requested. It is None if the best usable plan is
+    still the one that existed before the fork. `work` is the number of mesh points, summed over the
+    iterations of Ipopt.
     """
 
     solution: Solution
@@ -114,10 +115,10 @@ _SHARED: list[object] = []
 
 
 def _reduced(sent: object) -> Any:
-    """Reduce an object for `pickle`, in a forked copy of this process that sends the object back.
+    """Reduce an object for `pickle`, in a forked copy that sends a solution to this process.
 
-    The copy and the original process both have the objects in the list `_SHARED`: the problem of
-    the mission and its compiled form. If `sent` is one of these objects, only its index in the list
+    The list `_SHARED` has the problem of the mission and its compiled form. The copy and the
+    original process both have these objects. If `sent` is one of them, only its index in the list
     is sent. Any other object is sent as a whole.
 
     The result is a reduction as the module `pickle` defines it: a function and its arguments. In

@@ -92,8 +92,8 @@ class Trajectories:
     def fractions(self, t: FloatArray) -> FloatArray:
         """Convert times to fractions of the flight's duration.
 
-        `t` holds n times [s]. The result has shape (n,): 0 at and before the start of the flight,
-        1 at and after its end, and linear in time in between.
+        `t` holds n times [s]. The result has shape (n,). It is 0 until the start of the flight,
+        rises linearly in time, and is 1 from the end of the flight on.
         """
         start, end = self.horizon
         return np.clip((np.asarray(t, dtype=float) - start) / (end - start), 0.0, 1.0)
@@ -108,7 +108,8 @@ class Trajectories:
         """Return the values of the control polynomials at n given times [s].
 
         The result has shape (n, n_controls). It is clipped to `limits`, the lower and the upper
-        limits of the controls, each of shape (n_controls,); None for no clipping.
+        limits of the controls, each of shape (n_controls,). If `limits` is None, the result is not
+        clipped.
         """
         controls = interpolate(self.mesh, self.controls, self.fractions(t), with_start=False)
         return controls if limits is None else np.clip(controls, *limits)
@@ -128,7 +129,8 @@ class Trajectories:
 def trajectories_of(solution: Solution) -> Trajectories:
     """Return states, controls, energy and costates of a solution, with the names of the columns.
 
-    Algebraic variables that equations determine are left out, because they are not controls.
+    The controls are the algebraic variables that no equation determines. The other algebraic
+    variables are left out.
     """
     declared = solution.problem.compiled.declared
     costates = solution.costates
@@ -176,16 +178,16 @@ class PlanStatus(StrEnum):
         The simulated flight and the error estimate confirm the plan to the requested accuracy.
     USABLE
         The simulated flight confirms that the plan arrives, keeps all limits and spends the energy
-        stated. The tolerances, `scenario.accuracy.USABLE`, are those of the lowest accuracy, but
-        the flight may end half a metre from the goal. The plan may not be optimal:
-        `Plan.energy_uncertainty` estimates how much energy another flight may save.
+        stated. The tolerances, `scenario.accuracy.USABLE`, are those of the lowest accuracy level,
+        except that the flight may end half a metre from the goal. Another flight may need less
+        energy: `Plan.energy_uncertainty` estimates the possible saving.
     SOLVED
         Ipopt converged, but the simulated flight does not confirm the plan.
     NOT_CONVERGED
         The solve did not converge.
     INFEASIBLE
-        The solve found that no flight keeps all limits. A mission is called infeasible only if no
-        route tried has a flight that keeps all limits, even on a coarse mesh.
+        The solve found that no flight keeps all limits. A mission with several routes has this
+        status if the solve along every route tried is infeasible, even on a coarse mesh.
     INTERRUPTED
         The solve was stopped.
     """
@@ -452,9 +454,9 @@ class Plan(Summarised):
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If feedback
         corrected the controls after the solve, `error_estimate` is the larger of this estimate and
-        the estimated error of the energy. The error of the energy is the relative difference
-        between the plan's energy and the least energy of the mission. As a rule, the energy of the
-        solution before the correction is taken as the least energy.
+        the relative error of the energy, |E - E_least| / E_least. Here E is the energy of the plan,
+        and E_least the least energy of the mission. As a rule, E_least is the energy of the
+        solution before the correction.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -482,8 +484,8 @@ class Plan(Summarised):
     risk : RiskTaken or None
         Risk for which the plan was made, with margins and test flights. The risk is the probability
         that a flight in turbulence breaks a limit. Margins are the amounts by which limits were
-        tightened. None for a plan without margins: such a plan may use all thrust, and leave none
-        for the corrections of a controller.
+        tightened. None for a plan without margins. Such a plan may use the full thrust, so that a
+        controller has none left for corrections.
     """
 
     scenario: Scenario
@@ -532,10 +534,10 @@ class Plan(Summarised):
 
     @property
     def mission_flown(self) -> Scenario:
-        """Scenario of the plan, in which all times that the mission leaves free are fixed.
+        """Scenario of the plan, with the plan's values for all times that the mission leaves free.
 
         The times that may be free are the duration of the flight and the passing times of the
-        waypoints. They have the values of the plan.
+        waypoints.
         """
         told = self.scenario
         if not told.mission.is_free and not told.mission.waypoints:
@@ -611,9 +613,9 @@ class Plan(Summarised):
 
     @property
     def accuracy_reached(self) -> Accuracy | None:
-        """Highest accuracy that simulation and error estimate confirm, at most the requested one.
+        """Highest accuracy level, up to the requested one, to which the plan is confirmed.
 
-        None if not even the lowest accuracy is confirmed.
+        Simulation and error estimate confirm the level. None if they confirm no level.
         """
         if self.is_verified:
             return self.scenario.solver.accuracy
@@ -626,15 +628,16 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated fraction of the energy that a better flight near the plan may save.
 
-        For a verified plan, the fraction is the smaller of two numbers: the plan's error estimate,
-        and the tolerance that the scenario requests. The error estimate includes the error of the
-        energy.
+        The fraction depends on the plan:
+        - Verified plan: the smaller of the plan's error estimate (which includes the error of the
+          energy) and the tolerance that the scenario requests.
+        - Other plan, with at least two meshes: the relative change of the objective from the second
+          last to the last mesh.
+        - Other plan, with one mesh: the plan's error estimate, infinite if no error could be
+          estimated.
 
-        For any other plan, the fraction is the relative change of the objective from the second
-        last to the last mesh. If there was only one mesh, the fraction is the plan's error
-        estimate. This estimate is infinite if no error could be estimated. The fraction is at least
-        the energy tolerance of the lowest accuracy, `quick`, because two meshes may agree by
-        chance.
+        If the plan is not verified, the fraction is at least the energy tolerance of the lowest
+        accuracy, `quick`, because two meshes may agree by chance.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -651,10 +654,10 @@ class Plan(Summarised):
 
     @property
     def reached(self) -> str:
-        """Sentence on the state in which an unfinished search for the plan ended.
+        """Sentence on how far an unfinished search for the plan came.
 
-        It states the number and the size of the last mesh, the energy, the number and the
-        infeasibility of Ipopt's last iteration, and the estimated error.
+        It describes the last mesh (number and size), the energy, Ipopt's last iteration (number and
+        infeasibility), and the estimated error.
         """
         asked = self.scenario.solver.tolerance
         parts = [
@@ -687,15 +690,13 @@ class Plan(Summarised):
     def owed_energy(self, final: Mapping[str, float]) -> float:
         """Estimate the energy still needed by a flight that ends off the goal [J].
 
-        The estimate is a sum over the states. Each state contributes its final costate times the
-        deviation of its final value from the planned final value.
+        The estimate is the sum of lambda_i (x_i - x_i,planned) over the states i. Here lambda_i is
+        the costate at the end of the plan, and x_i the final value of the state in the flight.
 
-        The least energy of a mission depends on the required final state. Let E be the least energy
-        to the planned final state, and E' the least energy to the flight's final state. The
-        estimate is the first-order approximation of E - E'. If the least energy is a convex
-        function of the final state, E - E' is at most the estimate. The flight spends at least E'.
-        The energy of the flight plus the estimate is then at least E, and also at least any lower
-        bound on E.
+        Let E be the least energy to the planned final state, and E' the least energy to the
+        flight's final state. The estimate is the first-order approximation of E - E'. If the least
+        energy is a convex function of the final state, E - E' is at most the estimate. The flight
+        spends at least E'. The energy of the flight plus the estimate is then at least E.
 
         Parameters
         ----------
@@ -721,9 +722,9 @@ class Plan(Summarised):
     def end_prices(self) -> dict[str, float]:
         """Costates at the end of the plan, by state name [J per unit of the state].
 
-        The costate of a state is the rate at which the energy for the rest of an optimal flight
-        changes with the present value of the state. From the costates at the end, `owed_energy`
-        estimates how much energy a flight that ends off the goal still needs.
+        The costate of a state is the derivative of the energy of the rest of an optimal flight with
+        respect to this state. `owed_energy` uses the costates at the end to estimate the energy
+        that a flight which ends off the goal still needs.
         """
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
@@ -985,8 +986,8 @@ class Plan(Summarised):
     def load(cls, path: str | Path) -> Self:
         """Read a plan from a file that `save` wrote.
 
-        The loaded plan cannot be simulated, because the file does not contain equations. Another
-        solve can start from the loaded plan, as it can from the plan that was saved.
+        The file does not contain equations, so that the loaded plan cannot be simulated. It can
+        serve as the initial point of another solve, like the plan that was saved.
 
         Parameters
         ----------

@@ -44,8 +44,8 @@ class Planner(Problems):
 
         In `with planner.until_stopped() as is_stopped`, the name `is_stopped` is a function without
         arguments. The function returns whether the user has stopped one of the solves. In this
-        class it always returns False. In the planner of the command line it returns whether Ctrl-C
-        was pressed.
+        class, a user cannot stop solves, and the function returns False. In the planner of the
+        command line, it returns whether Ctrl-C was pressed.
         """
         return nullcontext(lambda: False)
 
@@ -65,9 +65,8 @@ class Planner(Problems):
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
             A plan of a similar scenario, or the initial point (warm start) that a plan file or a
-            sweep has stored. The solve starts from the trajectory of this plan or point. The
-            multipliers of the plan or point are used too, if its problem has the same equations as
-            the problem of `scenario`.
+            sweep has stored. The solve starts from its trajectory. It also starts from its
+            multipliers if the two problems have the same equations.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -76,12 +75,13 @@ class Planner(Problems):
         Returns
         -------
         Plan
-            The plan with its status. A solve that fails, is stopped or exceeds its time limit
-            raises no exception. It returns the best usable plan: a plan that simulation confirms at
-            lower accuracy than requested. Without a usable plan, the plan returned has a failed
-            status. The time limit is `solver.time_limit` of the scenario, in processor time
-            including verification. Apart from the time limit, no result depends on the speed of the
-            machine.
+            The plan with its status. A solve may fail, be stopped, or exceed its time limit. It
+            then raises no exception, but returns the best usable plan: a plan that simulation
+            confirms at lower accuracy than requested. If there is none, the returned plan has a
+            failed status.
+
+            The time limit is `solver.time_limit` of the scenario, in processor time including
+            verification. Apart from the time limit, no result depends on the speed of the machine.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve
@@ -117,13 +117,12 @@ class Planner(Problems):
         First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
         durations that decrease towards the least duration. Each solve starts from the previous
         solution. The result is the plan of the shortest duration that a simulation confirms to the
-        requested accuracy. If no plan is confirmed, the result is the plan of the longest of these
-        durations, which was solved first.
+        requested accuracy. If none is confirmed, it is the first of these plans, which has the
+        longest duration.
 
-        If the minimum-time problem cannot be solved, the mission is solved for the least energy
-        instead. Its plan is returned with the status "not converged". Only this solve uses the
-        initial point `start`; None stands for the model's own initial point. `search` is the
-        progress callback of all solves.
+        If the minimum-time problem cannot be solved, the mission is solved for the least energy,
+        from the initial point `start` (None for the model's own). This plan is returned with the
+        status "not converged". `search` is the progress callback of all solves.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

@@ -31,12 +31,12 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios whose problems have the same initial states.
+    """Return a key; scenarios with equal keys have problems with the same initial states.
 
-    If two keys are equal, the cached problem of one scenario can be used to simulate the other. The
-    key is for scenarios of fixed duration. The initial states do not depend on three parts of a
-    scenario, which the key omits: the duration, the wind, and the settings of baseline flights. In
-    a baseline flight, a controller follows a reference other than the plan, for comparison.
+    The cached problem of one scenario can then be used to simulate the other. The key is for
+    scenarios of fixed duration. The initial states are independent of three parts of a scenario,
+    which the key leaves out: the duration, the wind, and the settings of baseline flights. In a
+    baseline flight, a controller follows a reference other than the plan, for comparison.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -51,14 +51,14 @@ class Problems:
 
     Scenarios that differ only in parameter values share a compiled problem. Problems of the
     package's own model are in a cache that all planners of the process share. Initial guess and
-    scaling are always computed for the scenario to be solved. No result therefore depends on
+    scaling are always computed for the scenario to be solved, so that results are independent of
     earlier solves.
 
     Parameters
     ----------
     builder : callable, optional
         Takes a scenario and builds its Pyomo model. A user's own builder is called again for every
-        scenario, because its model may contain numbers of the scenario that are not parameters.
+        scenario, because its model may contain numbers of the scenario as constants.
     """
 
     def __init__(self, builder: Builder = build_model) -> None:
@@ -89,7 +89,7 @@ class Problems:
         """Return the compiled problem of a scenario, and the time spent on it [s] by phase.
 
         The phases are "build", in which the Pyomo model is built, and "compile". Both times are
-        zero if the cache has a problem that needs no change for this scenario.
+        zero if the problem is taken from the cache unchanged.
         """
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
@@ -145,9 +145,9 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The equations include limits, such as the limits on thrust. The limits are those of
-        simulated flights, which differ from those of plans: a plan must leave some thrust unused,
-        as a reserve for the controller. A simulated flight may use this reserve.
+        The equations include limits, such as the limits on thrust. A plan must leave some rotor
+        speed and thrust unused, as a reserve for the controller. The limits in the result are those
+        of simulated flights, which may use this reserve.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):
@@ -163,14 +163,15 @@ class Problems:
         one of them. If the result is True, the equations of the cached problem can be used to
         simulate `scenario`. Without a cached problem, the result is False.
 
-        The result is True if `scenario` and the scenario of the cached problem differ only in their
-        wind. If both have a fixed duration, they may also differ in the duration and in the
-        settings of baseline flights (flights of a controller along a reference, for comparison).
+        The result is True if `scenario` and the scenario of the cached problem are equal except for
+        these parts:
+        - the wind;
+        - if both scenarios have a fixed duration, also the duration and the settings of baseline
+          flights (flights of a controller along a reference, for comparison).
 
-        The result is always False for a user's own model. It is also always False for a measured
-        wind (`scenario.wind.series`). The model samples a wind measured over time at fractions of
-        the duration. For another duration, the samples are therefore at other times of the
-        measurement.
+        The result is False for a user's own model. It is also False for a wind measured over time
+        (`scenario.wind.series`). The model samples this wind at fixed fractions of the duration, so
+        that the samples depend on the duration.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         if built_for is None or not self.is_declared or scenario.wind.series is not None:

@@ -1,4 +1,4 @@
-"""Verification of a plan that was read from a file, without relying on the file's own results.
+"""Verification of a plan that was read from a file, independent of the results in the file.
 
 The initial state, final state and horizon of the plan must agree with the mission. The controls,
 simulated by SciPy with the scenario's own equations, must reproduce the states of the file.
@@ -71,8 +71,8 @@ def refuse_unproven(
     dynamics : Dynamics, optional
         The plan's equations, if available; otherwise the scenario is compiled.
     is_code_allowed : bool, optional
-        Whether the user's own code may be run, if the scenario's model is built by such code. If
-        not, such a scenario raises a ScenarioError. Not used if `dynamics` is given.
+        Whether the user's own code may be run to build the scenario's model. If False, a scenario
+        whose model needs such code raises a ScenarioError. Not used if `dynamics` is given.
 
     Raises
     ------
@@ -109,14 +109,15 @@ def refuse_unproven(
 
 
 def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
-    """Raise a ScenarioError if a plan's simulated flight breaks a limit by more than is tolerated.
+    """Raise a ScenarioError if a plan's simulated flight breaks a limit by too much.
 
     `scenario` gives the name of the mission for the error message. `verification` has the
-    violations of limits along the simulated flight. `allowed` has the tolerances.
+    violations of limits along the simulated flight. `allowed` has the tolerances: a relative one,
+    `breach`, for limits other than the heading.
 
-    The relative tolerance `breach` applies to limits other than the heading. For zones, floor,
-    ceiling and fence there is also an absolute tolerance, `intrusion` [m]. This tolerance is not
-    applied here: a plan that was read from a table has rounded controls, which may violate it.
+    `allowed` also has an absolute tolerance, `intrusion` [m], for zones, floor, ceiling and fence.
+    It is ignored here, because it is too strict for the rounded controls of a plan that was read
+    from a table.
     """
     figures = replace(allowed, intrusion=inf)
     for breach in beyond(verification.breaches, figures):
@@ -185,7 +186,7 @@ def _refuse_other_times(
 
 
 def in_order(scenario: Scenario, planned: Trajectories, dynamics: Dynamics) -> Trajectories:
-    """Return a plan with its states and controls in the order of given equations.
+    """Return a plan whose states and controls are in the order of given equations.
 
     A state that is missing in the plan gets the mission's initial value at the start, and NaN
     afterwards.
@@ -239,8 +240,8 @@ def _refuse_other_ends(
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
     `scenario` has the mission. `states` has the planned states at the nodes, shape (n_points + 1,
-    n_states), in the order of the equations `dynamics`. The tolerance is `allowed.miss`, times the
-    larger of 1 and the value that the mission prescribes.
+    n_states), in the order of the equations `dynamics`. The tolerance of a state is allowed.miss *
+    max(1, |value|), where value is that of the mission.
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
@@ -267,9 +268,8 @@ def _refuse_astray(
     """Raise a ScenarioError if the simulated states deviate from the states of the plan.
 
     `planned` is the plan. `flown` has the states that a simulation of the plan's controls gives,
-    with the equations `dynamics`. The tolerance is `allowed.miss`, times the larger of 1 and the
-    planned value. It applies to every state at all times. `scenario` gives the name of the mission
-    for the error message.
+    with the equations `dynamics`. The tolerance of a state is allowed.miss * max(1, |planned
+    value|), at all times. `scenario` gives the name of the mission for the error message.
     """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""

@@ -7,8 +7,8 @@ minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration an
 plan | the optimal plan, as cubic splines through its samples | the states of the plan
 cruise | straight legs at a constant speed (module `routes`) | at rest, as at every corner
 
-The plan includes the effect of the forecast wind on the vehicle. The controller therefore adapts
-only to the difference from the forecast. The other references ignore the wind.
+The plan includes the effect of the forecast wind on the vehicle. A controller that follows it
+therefore adapts only to the error of the forecast. The other references ignore the wind.
 
 The quintic minimises the integral of the squared jerk; the polynomial of degree 7 minimises the
 integral of the squared snap [1]_. Both go straight from start to goal in the duration of the
@@ -43,11 +43,11 @@ class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
     `place` has x, y, z [m] and yaw [rad]. `rate` and `acceleration` have the first and the second
-    time derivatives of these four values. If the reference is a plan, `acceleration` includes only
-    the part that the rotors cause. The part that the air causes is left out.
+    time derivatives of these four values. If the reference is a plan, `acceleration` has only the
+    part that the rotors cause, and not the part that the air causes.
 
-    `tilting` has the rates of roll and pitch, and then their accelerations, if the reference is a
-    plan. Other references do not define the attitude, so that `tilting` is None.
+    If the reference is a plan, `tilting` has the rates of roll and pitch, followed by their
+    accelerations. It is None for other references, which do not define the attitude.
     """
 
     place: Sequence[float]
@@ -76,8 +76,7 @@ class StraightPath:
     mission : Mission
         The mission, which gives start, goal and duration.
     progress : Polynomial
-        Fraction of the line that is travelled, as a function of the elapsed fraction of the
-        duration.
+        Travelled fraction of the line, as a function of t / duration.
     """
 
     def __init__(self, mission: Mission, progress: Polynomial) -> None:
@@ -104,7 +103,7 @@ class StraightPath:
 
 
 def quintic_progress(elapsed: FloatArray) -> FloatArray:
-    """Return the fraction of a way that is travelled, for a motion from rest to rest.
+    """Return the travelled fraction of the way, for a motion from rest to rest.
 
     The fraction is a polynomial of degree 5 in time. `elapsed` holds elapsed fractions of the
     duration, from 0 to 1; the result has the same shape.
@@ -129,9 +128,9 @@ class WaypointPath:
     mission : Mission
         Mission with a time for each waypoint and a fixed duration.
     derivatives : int
-        Number n of time derivatives of the position that are zero at rest. The first of them is the
+        Number n of time derivatives of the position that are zero at rest, counted from the
         velocity. The spline has degree 2 n + 1. It minimises the integral of the squared derivative
-        of order n + 1.
+        of order n + 1. For example, n = 2 gives degree 5 and the least squared jerk.
     """
 
     def __init__(self, mission: Mission, derivatives: int) -> None:
@@ -162,9 +161,8 @@ class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
     From the start of the flight, the reference is at the first waypoint. It stays at a waypoint
-    until the prescribed time of the waypoint plus the duration of the hover there. At this time,
-    the vehicle is to leave the waypoint, and the reference jumps to the next waypoint or to the
-    goal.
+    until the vehicle is to leave it: at the prescribed time of the waypoint plus the duration of
+    the hover there. Then it jumps to the next waypoint or to the goal.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -273,11 +271,11 @@ class SampledPath:
 class PlannedPath:
     """Plan as a reference path: a separate cubic spline through the samples of each quantity.
 
-    The polynomials of a plan satisfy its equations at the collocation points only. Between these
-    points, the second derivative of the position differs from the planned acceleration. For samples
-    that are h seconds apart, a position error of d metres becomes an acceleration error of about 6
-    d/h^2. Velocities and accelerations are therefore not derived from the position. They have their
-    own splines through planned values.
+    Velocities and accelerations have their own splines through planned values. They are not
+    derivatives of the position spline, because differentiation amplifies errors. The polynomials of
+    a plan satisfy its equations at the collocation points only. If the samples are h seconds apart,
+    a position error of d metres between these points becomes an acceleration error of about 6
+    d/h^2.
 
     Parameters
     ----------
@@ -319,7 +317,7 @@ class _Pieces:
     """Piecewise polynomials of several quantities over time, with common break times (knots).
 
     The quantities are those of a reference path: position, yaw and their derivatives. One matrix
-    product evaluates all quantities, at the cost of evaluating one of them.
+    product evaluates all of them, and takes hardly longer than for a single quantity.
     """
 
     def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:

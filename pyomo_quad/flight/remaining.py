@@ -1,13 +1,14 @@
 """Solves of the remaining mission during a flight (re-planning), with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight. It ends at the goal, or in the
-next hover at a waypoint. The mission after this hover is left out, because the flight after a hover
-does not affect the flight before it. The limits of a re-plan are soft: they may be violated at a
-penalty (see `model.soft_limits`). They are tightened by the margins of the plan made before
-take-off (see `flight.margins`). The mesh has short elements at the present time, where a
-disturbance is corrected, and near the passages of waypoints. Elsewhere the elements are long. The
-clearance from keep-out zones is three centimetres larger than the mission requires, to allow for
-the error of a coarse mesh.
+next hover at a waypoint. The flight after this hover is planned later, because it does not affect
+the flight before the hover.
+
+The limits of a re-plan are soft: they may be violated at a penalty (see `model.soft_limits`). They
+are tightened by the margins of the plan made before take-off (see `flight.margins`). The clearance
+from keep-out zones is three centimetres larger than the mission requires, to allow for the error of
+a coarse mesh. The mesh has short elements at the present time, where a disturbance is corrected,
+and near the passages of waypoints. Elsewhere the elements are long.
 
 The remaining mission after each waypoint has its own equations. They are compiled and solved once
 before take-off. For the penalty and the initial state of a re-plan, see docs/theory/soft_limits.md,
@@ -149,11 +150,11 @@ class Remainder:
 
     @property
     def planned_until(self) -> float:
-        """Time after which no new plan is made until the next waypoint or the end [s].
+        """Time [s] after which no new plan is made until the next waypoint or the end.
 
-        After this time the vehicle follows its last plan. A plan must reach the next waypoint or
-        the end exactly. If little time is left, such a plan counteracts the effect of every gust,
-        at any cost of energy.
+        After this time the vehicle follows its last plan. The reason is that a plan must reach the
+        next waypoint or the end exactly. With little time left, it would spend much energy to
+        counteract every gust.
         """
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
@@ -165,9 +166,8 @@ class Remainder:
         """Return the mapping from fractions of the horizon to times, for a plan from time t [s].
 
         In the compiled problem, the start, the passages of waypoints and the end are at fixed
-        fractions of the horizon. The result assigns a time to each of these fractions: `t` to the
-        start, and the times of the mission to the passages and the end. Between these fractions,
-        time is linear in the fraction.
+        fractions of the horizon. The result maps these fractions to times: the start to `t`, and
+        the passages and the end to the times of the mission. In between, the mapping is linear.
         """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
@@ -177,10 +177,10 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        The mesh has short elements at the present time, the waypoints and the end. The same mesh is
-        used for several successive solves, so that a solve can reuse the structure of the equations
-        of the previous solve. A new mesh is made as soon as the time to the next waypoint (or to
-        the end, if there is no next waypoint) is a fifth shorter.
+        The mesh has short elements at the present time, the waypoints and the end. Several
+        successive solves use the same mesh, so that they can reuse the structure of the equations.
+        A new mesh is made whenever the time to the next waypoint, or to the end, has decreased by a
+        fifth.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
@@ -212,8 +212,8 @@ class Remainder:
 def _graded(start: float, stop: float) -> list[float]:
     """Return the breakpoints of mesh elements between the times `start` and `stop` [s].
 
-    The breakpoints are times [s], in increasing order, without `start` and `stop` themselves. The
-    elements are short near `start` and `stop`, and long in the middle.
+    The breakpoints are increasing times [s] inside the interval; `start` and `stop` are left out.
+    The elements are short near `start` and `stop`, and long in the middle.
     """
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
@@ -263,10 +263,9 @@ class Replanner:
         Planner that compiles the equations.
     margins : mapping, optional
         Scenario field -> amount by which its limit is tightened for the plan made before take-off.
-        Re-plans have the same margins, except that rotor speed and thrust have none. The limits on
-        rotor speed and thrust are hard, while the goal is a soft condition. With margins on rotor
-        speed and thrust, a re-plan could therefore miss the goal, although the vehicle has enough
-        thrust to reach it.
+        Re-plans have the same margins, with one exception: they may use the full rotor speed and
+        thrust. The limits on these two are hard, while the goal is a soft condition. A margin on
+        them could therefore make a re-plan miss a goal that the vehicle has enough thrust to reach.
 
     Raises
     ------
@@ -347,14 +346,14 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining missions before take-off, for initial guesses of solves in flight.
 
-        The remaining missions are the whole mission and the mission after each waypoint. The solve
-        of a remaining mission starts from the planned state at the time at which this mission
-        begins. `plan` is the plan made before take-off. The object stores the solutions. The first
-        re-plans (new plans in flight) are solved with these solutions as initial guesses.
+        The remaining missions are the whole mission and the mission after each waypoint. The
+        initial state of each is the planned state at its start. `plan` is the plan made before
+        take-off. The object stores the solutions, as initial guesses of the first re-plans (new
+        plans in flight).
 
         If a solution violates a soft limit, the penalty on violations is increased and the solve is
-        repeated. A penalty above the norm of the multipliers is exact: the solution then violates
-        no limit, if a solution without violation exists.
+        repeated. A penalty above the norm of the multipliers is exact: the solution then keeps all
+        limits, if any solution does.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -488,16 +487,14 @@ class Replanner:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
         The prediction begins with the planned state at the time `end`. Attitude and rotor speeds
-        are changed so that the thrust also balances the acceleration `unexplained`. Without this
-        change, the re-plan would begin with a rotation to the attitude that balances the
-        acceleration.
+        are changed so that the thrust also balances the acceleration `unexplained`. Otherwise the
+        re-plan would begin with a rotation to the attitude that does so.
 
-        The measured position is compared with the planned position. If their distance is at most
-        `tube` [m] (an attribute), position and velocity keep their planned values, because the
-        controller can correct such a deviation. If the distance is larger, position and velocity
-        are changed towards the measured values. The change is just large enough that the vehicle is
-        at most `tube` from the re-plan. The full deviation is not used: the vehicle lags behind its
-        plan, and each re-plan would then begin with this lag.
+        The controller can correct a deviation from the plan of at most `tube` [m] (an attribute).
+        If the measured position is within this distance of the planned position, the prediction has
+        the planned position and velocity. Otherwise both are moved towards the measured values,
+        until the remaining distance is `tube`. They are not moved further: the vehicle always lags
+        a little behind its plan, and this lag would be added in each re-plan.
 
         Parameters
         ----------
@@ -560,7 +557,7 @@ class Replanner:
 def breach_of(solution: Solution) -> float:
     """Return the largest violation of a soft limit in the solution of a re-plan (plan in flight).
 
-    The violation has the unit of the limit. Soft limits may be violated at a penalty.
+    Soft limits may be violated at a penalty. Each violation is in the unit of its limit.
     """
     declared, held = solution.problem.compiled.declared, solution.trajectory.statics.tolist()
     named = zip(declared.statics, held, strict=True)
@@ -600,10 +597,10 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    `believed` is the whole mission, with the wind and the vehicle that plans assume. If a hover at
-    a waypoint remains, the remaining mission ends during the first such hover. Its goal is then the
-    position of this waypoint. The later parts of the mission are left out, because they do not
-    affect a hovering vehicle.
+    `believed` is the whole mission, with the wind and the vehicle that plans assume. If there are
+    hovers at the remaining waypoints, the result ends during the first of them. Its goal is then
+    the position of this waypoint. The later parts of the mission are left out, because they do not
+    affect the flight before the hover.
     """
     mission = believed.mission
     left = mission.waypoints[k:]

@@ -6,30 +6,32 @@ with adaptation follows the newest plan. Until the first re-plan, it follows the
 take-off.
 
 During a solve the vehicle flies on along its present plan. A re-plan therefore begins at the time
-at which its solve is to be finished, from the state predicted for that time. If the vehicle is near
-its present plan, the predicted state is the planned state: the controller corrects the small
-deviation. Otherwise the predicted state is moved towards the actual state, until the controller can
-correct the remaining deviation (tube-based predictive control). The previous re-plan is the initial
-guess of each solve (see `flight.remaining`).
+at which its solve is to be finished. Its initial state is predicted for this time. If the vehicle
+is near its present plan, the prediction is the planned state, because the controller corrects the
+small deviation. Otherwise the prediction is moved towards the actual state, until the controller
+can correct the remaining deviation (tube-based predictive control). The initial guess of each solve
+is the previous re-plan (see `flight.remaining`).
 
-The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists
-from every state from which rotors and battery can reach the goal. If a solve fails nevertheless,
-the vehicle follows its previous plan. For the plan, each limit was tightened by an amount called
-its margin. The vehicle may be nearer to a limit than its plan. If it is nearer by more than the
-margin, a failed solve is repeated at once. The second solve may take many more iterations, although
-the new plan may then be late.
+The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists for
+every state from which rotors and battery can reach the goal. If a solve fails nevertheless, the
+vehicle follows its previous plan.
+
+A failed solve is repeated at once if the vehicle has used up its margin to a limit. The margin is
+the amount by which the limit was tightened for the plan. It is used up if the vehicle is nearer to
+the limit than its plan by more than the margin. The second solve may take many more iterations,
+although the new plan may then be late.
 
 No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
-arrive exactly within seconds would counteract every gust at any cost. The gust may have changed
-again by then. In a hover at a waypoint, the vehicle follows the last re-plan for one second, or for
-half of the hover if that is less. Then it follows the plan made before take-off, until the next
-re-plan. Waypoints are passed at the times that the mission gives.
+arrive exactly within seconds would spend much energy to counteract every gust. In a hover at a
+waypoint, the vehicle follows the last re-plan for one second, or for half of the hover if that is
+less. Then it follows the plan made before take-off, until the next re-plan. Waypoints are passed at
+the times that the mission gives.
 
 The wind may differ from the forecast, and the mass from the assumed mass. The difference causes an
-acceleration that the equations of motion do not contain. The adaptation law of the controller
-estimates this acceleration from the flight. A re-plan includes the vertical part of the estimate as
-a changed mass, even if an updraft causes it. It includes the horizontal part as an additional
-acceleration by the wind. Re-plans that are to use the forecast alone ignore the estimate.
+acceleration that the equations of motion do not explain. The adaptation law of the controller
+estimates this acceleration from the flight. A re-plan treats the vertical part of the estimate as a
+changed mass, even if an updraft causes it. It treats the horizontal part as an additional
+acceleration by the wind. Re-plans that use the forecast alone ignore the estimate.
 """
 
 from collections.abc import Callable
@@ -106,8 +108,8 @@ class _Leg:
     """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
 
     `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is the
-    estimated acceleration that the plan does not include, along the world axes [m/s^2]. `last` has
-    the controller's states at the start of the part (None at take-off).
+    part of the estimated acceleration that the plan leaves out, along the world axes [m/s^2].
+    `last` has the controller's states at the start of the part (None at take-off).
     """
 
     course: Course
@@ -122,8 +124,8 @@ class _Leg:
 class _Observer:
     """Estimator of the acceleration that the equations of a plan do not explain.
 
-    Wind and mass that differ from the assumed ones cause this unexplained acceleration. The
-    estimator applies the adaptation law of the controller to the measured states.
+    The cause of this unexplained acceleration is that wind and mass differ from their assumed
+    values. The estimator applies the adaptation law of the controller to the measured states.
     """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
@@ -152,11 +154,11 @@ class _Observer:
     def belief(self, flown: Flown) -> Belief:
         """Return a mass and a horizontal acceleration by the air, for the next plan.
 
-        Both are computed from the estimate of the unexplained acceleration. The mass is chosen so
+        Both are computed from the estimate of the unexplained acceleration. The mass is changed so
         that it explains the vertical part: the same thrust accelerates a lighter vehicle more. The
-        thrust also has a horizontal part. The changed mass therefore explains some of the
-        horizontal acceleration. The rest of the horizontal acceleration is attributed to the air.
-        `flown` is the last simulated part of the flight; the thrust at its end is used.
+        changed mass also changes the acceleration by the horizontal part of the thrust. The air is
+        taken to cause the rest of the horizontal acceleration. `flown` is the last simulated part
+        of the flight; the thrust at its end is used.
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -295,9 +297,10 @@ class _ReplannedFlight:
     def _replan(self, measured_at: float) -> float:
         """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
-        The flight is simulated along the present plan until the computer aboard has the new plan.
-        If the solve fails, the vehicle continues with the present plan. `measured_at` is the time
-        of the measurement [s]. The result is the time at which the solve ends aboard [s].
+        The flight is simulated along the present plan until the new plan takes over. If the solve
+        fails, the vehicle continues with the present plan. `measured_at` is the time of the
+        measurement [s]. The result is the time at which the new plan takes over [s]: the end of the
+        planned solve time, or later if the computer aboard needs longer.
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -348,8 +351,8 @@ class _ReplannedFlight:
     def _advance(self, end: float) -> None:
         """Simulate the flight along the present plan until the time `end` [s].
 
-        The estimate of the unexplained acceleration is updated with this part of the flight. The
-        unexplained acceleration is the one that the equations of the plan do not contain.
+        The estimate of the acceleration that the plan's equations do not explain is updated with
+        this part of the flight.
         """
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
@@ -374,10 +377,12 @@ class _ReplannedFlight:
         A part begins with a new plan. Both simulations of a part start from the same state and
         follow the same plan.
 
-        The whole flight is not simulated again from take-off. A second flight that made its own
-        plans would have other plans, because a plan depends on the rounding errors of the measured
-        state. A second flight along the recorded plans would deviate from the recorded flight
-        within seconds, because its own state would not affect the plans.
+        A second simulation of the whole flight would be no verification, because it soon deviates
+        from the recorded flight:
+        - If it makes its own plans, they differ, because a plan depends on the measured state down
+          to its rounding errors.
+        - If it follows the recorded plans, its deviations grow: these plans were made from the
+          states of the recorded flight, and do not correct them.
 
         Returns
         -------
@@ -414,9 +419,9 @@ def fly_replanned(
     constant intervals. Each solution is a new plan, called a re-plan, which the vehicle then
     follows.
 
-    The flight is verified in parts, from one new plan to the next. Each part is simulated a second
-    time, from the same state, along the same plan and with another integrator. The second
-    simulation must end at the same place and spend the same energy.
+    The flight is verified in parts. A part lasts from one new plan to the next. It is simulated a
+    second time, from the same state, along the same plan, with another integrator. Both simulations
+    must end at the same place and spend the same energy.
 
     Parameters
     ----------
@@ -430,13 +435,13 @@ def fly_replanned(
     planner : Planner
         Planner that compiles the equations.
     plan : Plan, optional
-        Plan made before take-off; without it, the mission is planned first. The re-plans keep the
-        margins of this plan, the amounts by which its limits were tightened. If the flight ends off
-        the goal, the costates of the plan give an estimate of the energy that is still needed.
+        Plan made before take-off; without it, the mission is planned first. The re-plans have the
+        same margins as this plan (amounts by which limits are tightened). The costates of the plan
+        give an estimate of the energy that is still needed if the flight ends off the goal.
     computer : callable, optional
         Takes the processor time of a solve on this machine [s]; returns the time that the solve
-        takes aboard [s]. By default this is the time that the scenario states, or the processor
-        time.
+        takes aboard [s]. By default it returns the solve time that the scenario states. If the
+        scenario asks for the measured time, it returns the processor time.
 
     Returns
     -------

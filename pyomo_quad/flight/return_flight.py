@@ -3,10 +3,10 @@
 A mission may reserve battery charge for a return to the start or to a rally point. The airspeed and
 the battery currents of the return determine this reserve. The airspeed minimises the charge per
 metre over the ground, against the wind at the start of the mission. The current at this airspeed is
-evaluated at the lowest state of charge that the return may reach, because it is greatest there.
-Over terrain the return begins with a climb. The current of a climb is computed twice: for a
-vertical climb in still air, and for a climb at the airspeed of the return. The greater current is
-used.
+evaluated at the lowest state of charge that the return may reach, where the voltage is lowest and
+the current greatest. Over terrain the return begins with a climb. The current of the climb is the
+greater of two values: that of a vertical climb in still air, and that of a climb at the airspeed of
+the return.
 """
 
 from typing import TYPE_CHECKING
@@ -32,9 +32,9 @@ _SECONDS_PER_HOUR = 3600.0
 def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and battery currents of the return flight filled in.
 
-    Values that the scenario gives are kept. The scenario is returned unchanged if it reserves no
-    charge for a return, or if it gives all values. The current of the climb is needed over terrain
-    only. `problems` compiles the vehicle's equations, from which the values are computed.
+    Values that the scenario gives are kept. The current of the climb is filled in only over
+    terrain. The scenario is returned unchanged if it gives all values, or if it reserves no charge
+    for a return. `problems` compiles the vehicle's equations, from which the values are computed.
 
     Raises
     ------
@@ -88,9 +88,9 @@ def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> 
     """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
 
     The result is the greater of the currents at zero airspeed and at `airspeed` [m/s]. With
-    increasing airspeed, the power of a climb first falls and then rises. No airspeed in between
-    therefore needs a greater current. `scenario` gives the lowest charge and the rate of climb.
-    `steady` computes the flight.
+    increasing airspeed, the power of a climb first falls and then rises. At any airspeed in
+    between, the current is therefore at most the result. `scenario` gives the lowest charge and the
+    rate of climb. `steady` computes the flight.
 
     Raises
     ------

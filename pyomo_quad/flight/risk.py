@@ -1,10 +1,10 @@
 """Planning of flights that break limits with at most an allowed probability, the allowed risk.
 
 The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce the
-risk, limits are tightened for the plan; the amounts are called margins. The margins are found by a
-search. With some controllers, flights break limits too often for any margins. If such a controller
-has the default gains, the search is repeated with the gains of a faster controller. See
-docs/theory/risk.md.
+risk, limits are tightened for the plan; the amounts are called margins. A search finds the margins.
+Some controllers are too slow: with them, flights break limits too often, whatever the margins. If
+such a controller has the default gains, the search is repeated with the gains of a faster
+controller. See docs/theory/risk.md.
 """
 
 from dataclasses import replace
@@ -27,8 +27,8 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    If the scenario states the allowed risk, this value is returned. If the scenario states none,
-    the result depends on the mission:
+    The value that the scenario states is returned. If the scenario states none, the result depends
+    on the mission:
 
     - Fixed duration: 1. Any risk is allowed, and the plan needs no margins.
     - Free duration: one per cent (`_USUAL_RISK`). Without margins, such a plan uses the full thrust
@@ -65,9 +65,8 @@ def plan_at_risk(
     -------
     Plan
         Plan whose attribute `risk` records margins and test flights. If the allowed risk cannot be
-        reached, or if the search is stopped, it is the plan of least risk that was found. If the
-        scenario does not limit the risk (`risk = 1`), it is the plan of `Planner.solve`, without
-        margins.
+        reached, or if the search is stopped, it is the plan of least risk that was found. If any
+        risk is allowed (`risk = 1`), it is the plan of `Planner.solve`, without margins.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -98,19 +97,19 @@ def plan_at_risk(
 def _with_faster_gains(plan: Plan) -> Plan:
     """Return a plan whose scenario has the faster gains of the controller, `FASTER_GAINS`.
 
-    The trajectory of the plan is unchanged. From the returned plan, a search for margins starts
-    anew for the faster controller.
+    The trajectory of the plan is unchanged. A new search for margins, for the faster controller,
+    starts from the returned plan.
     """
     baseline = plan.scenario.baseline.model_copy(update={"gains": FASTER_GAINS})
     return replace(plan, scenario=plan.scenario.model_copy(update={"baseline": baseline}))
 
 
 def _for_faster_gains(plan: Plan) -> Plan:
-    """Return a plan with a record of the controller's faster gains, for which it was made.
+    """Return a plan with a record of the faster controller gains for which it was made.
 
     `plan` was made for the gains `FASTER_GAINS`. The record is the attribute `risk.gains` of the
-    result. It maps the name of each gain that differs from the default to the value of this gain.
-    If the attribute `risk` of `plan` is None, `plan` is returned unchanged.
+    result: name of each gain that differs from the default -> its value. If the attribute `risk` of
+    `plan` is None, `plan` is returned unchanged.
     """
     if plan.risk is None:
         return plan

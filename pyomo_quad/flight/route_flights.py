@@ -1,10 +1,12 @@
 """Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
 A leg leads from one waypoint of the mission to the next. A journey is a sequence of routes, one for
-each leg. The cost of each journey is estimated as the energy of steady flight. Journeys with an
-estimate much higher than the least are left out. The mission is solved along each other journey on
-one coarse mesh. The best of these solutions are solved again on a finer mesh. The best of the new
-solutions are refined to the tolerance of the mission.
+each leg. The best journey is found in these steps:
+- The cost of each journey is estimated from steady flight along it. Journeys whose estimate is much
+  higher than the least are left out.
+- The mission is solved along each of the other journeys, on the same coarse mesh.
+- The best of these solutions are solved again on a finer mesh.
+- The best of the finer solutions are refined to the tolerance of the mission.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -69,15 +71,14 @@ class RouteFlights:
     mission : MissionProblem
         Compiled problem of the mission.
     known : Solution, optional
-        Solution on one mesh along the shortest journey, if it has been computed already. A journey
-        is a sequence of routes, one for each leg from one waypoint to the next.
+        Solution along the shortest journey on the coarse mesh, if it has been computed already.
 
     Attributes
     ----------
     has_several_optima : bool
-        Whether a journey may have several optima of different durations, as flights of free
-        duration through a wind field have. The first journey is then solved from guesses of two
-        durations, and the best solution is the start of further solves (see `_faster`).
+        Whether a journey may have several local optima, which differ in duration. This is the case
+        for flights of free duration through a wind field. The first journey is then solved from
+        guesses of two durations. The best solution is the start of further solves (see `_faster`).
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -109,9 +110,9 @@ class RouteFlights:
         Parameters
         ----------
         most : int, optional
-            Largest number of journeys. The shortest journeys are taken, and the others are left
-            out. By default, the number is not limited. In a wind field, the default gives other
-            journeys: those of least energy in steady flight through the wind, and the shortest.
+            Largest number of journeys; the shortest journeys are taken. By default, the number is
+            not limited. In a wind field, the default is different: the journeys are those of least
+            energy in steady flight through the wind, and the shortest journey.
 
         Returns
         -------
@@ -132,8 +133,8 @@ class RouteFlights:
         """Solve the mission along given journeys on one mesh, and refine the best solutions.
 
         A journey is a sequence of routes, one for each leg from one waypoint to the next. Two
-        journeys may lead to the same solution, such as journeys over and beside a sphere. The later
-        of two such journeys is left out.
+        journeys may lead to the same solution. For example, solves that start over and beside a
+        sphere may end in the same flight. The later of two such journeys is left out.
 
         Returns
         -------
@@ -171,8 +172,9 @@ class RouteFlights:
     def _each_flown(self, journeys: Sequence[Journey]) -> Iterator[tuple[Journey, Solution]]:
         """Solve along the given journeys, one after the other or on several cores.
 
-        A journey is left out if the solution along another journey is known to cost no more (see
-        `_is_dominated`). The first journey is solved alone, because its solution usually rules out
+        A journey is left out if it passes all zones that a known solution touches on the same sides
+        as this solution. The journey is then expected to cost at least as much (see
+        `sides_touched`). The first journey is solved alone, because its solution usually rules out
         others. Then as many journeys are solved at once as there are cores. The results do not
         depend on the number of cores.
 
@@ -204,7 +206,7 @@ class RouteFlights:
             count, fly = most_solves(), self._fly_beside
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Solve again on a finer mesh along the cheapest journeys; return the best of them.
+        """Solve along the cheapest journeys again, on a finer mesh; return the best of them.
 
         Parameters
         ----------
@@ -231,13 +233,12 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys that are solved again on a finer mesh: `most` or 1.
+        """Return the largest number of journeys to solve again on a finer mesh: `most` or 1.
 
-        A journey is a route for each leg of the mission. `error` is the relative error of the
-        energies on the present mesh. If `error` is greater than the energy tolerance of the
-        mission, the mesh cannot rank journeys of similar energy, and the result is `most`.
-        Otherwise the result is 1: only the cheapest journey is solved again, because no other
-        journey can save more energy than the tolerance.
+        `error` is the relative error of the energies on the present mesh. If it is greater than the
+        energy tolerance of the mission, journeys of similar energy cannot be ranked yet, and the
+        result is `most`. Otherwise the cheapest journey is already known to within the tolerance,
+        and the result is 1.
         """
         return 1 if error <= self._tolerance else most
 
@@ -246,7 +247,8 @@ class RouteFlights:
 
         A journey is a route for each leg of the mission. `known` maps the number of each journey to
         its coarse solution. `near` has the numbers of the best journeys. If the refinement fails
-        for all best journeys, further solutions are refined until one refinement succeeds.
+        for all of these, the other solutions are refined, the cheapest first, until one refinement
+        succeeds.
         """
         solves = [partial(self.refine, known[k], None) for k in near]
         refined = dict(zip(near, solve_side_by_side(self._mission, solves), strict=True))
@@ -261,17 +263,17 @@ class RouteFlights:
     def energy_of(self, solution: Solution) -> float:
         """Return the energy of a solution [J], which may differ from the objective of the solve.
 
-        The objective may also contain two other terms. One is the duration times the price of time,
-        which is the weight of the duration. The other is the energy lost inside the battery.
+        The objective may contain two other terms: the price of time [W] times the duration, and the
+        energy lost inside the battery.
         """
         return energy_of(self._scenario, solution)
 
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
         """Return a journey with the sides on which its solution really passes the zones.
 
-        A journey is a route for each leg of the mission, from one waypoint to the next. A solution
-        may pass a keep-out zone on another side than its initial guess. If the solve failed, the
-        journey is returned unchanged.
+        A journey is a route for each leg of the mission, from one waypoint to the next. The solve
+        may move the path of its initial guess to another side of a keep-out zone. If the solve
+        failed, the journey is returned unchanged.
         """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._scenario, journey, solution) if is_flown else journey
@@ -279,13 +281,13 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys along which the mission is solved.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. If `most`
-        is a number, only the `most` shortest journeys are considered. The shortest journey comes
-        first. Journeys of high estimated cost are left out, except at the highest accuracy,
-        `proof`.
+        The shortest journey comes first. If `most` is a number, only the `most` shortest journeys
+        are considered. Journeys of high estimated cost are left out, except at the highest
+        accuracy, `proof`.
 
-        If `most` is None in a wind field, the result is different. It has the journeys of least
-        energy in steady flight through the wind, the cheapest first, and then the shortest journey.
+        The result is different in a wind field if `most` is None. It then has the journeys of least
+        energy in steady flight through the wind, the cheapest first, followed by the shortest
+        journey.
         """
         told = self._scenario
         journeys = journeys_of(told)[:most]
@@ -299,9 +301,10 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The returned function takes the unit vector of the direction, shape (3,). It returns
-        infinity if the vehicle has no steady flight in this direction. The cost is the energy plus
-        the duration times the price of time [W], which is the weight of a free duration.
+        The returned function takes the unit vector of the direction, shape (3,). It returns (power
+        + price of time) / ground speed. The price of time [W] is the weight of a free duration in
+        the objective. The function returns infinity if the vehicle has no steady flight in this
+        direction.
 
         The ground speed is the same for all directions. If the duration is free, the ground speed
         is the speed of least cost. Otherwise it is the length of `shortest` divided by the
@@ -328,9 +331,9 @@ class RouteFlights:
     def _fly_first(self, journey: Journey) -> Solution:
         """Return the solution along the first of several journeys.
 
-        It is the solution that is known already, if there is one. Otherwise, the mission is solved
-        by the method `fly`. If the journey may have several optima, it is solved from guesses of
-        several durations, and the best solution is returned.
+        If the solution is known already, it is returned. Otherwise the method `fly` solves the
+        mission. If the journey may have several optima, the result is the best of several solves,
+        whose guesses differ in duration.
         """
         if self._known is not None:
             return self._known
@@ -343,10 +346,10 @@ class RouteFlights:
     def fly(self, journey: Journey, pace: float = 1.0) -> Solution:
         """Solve the mission on one mesh from an initial guess along a journey.
 
-        If the solve fails, it is repeated from the solution of an easier mission. In the easier
-        mission the vehicle passes exactly through the waypoints. After one such failure, the easier
-        mission is solved first for all further journeys, too, because the solve would be as
-        difficult along any journey.
+        If the solve fails, an easier mission is solved, in which the vehicle passes exactly through
+        the waypoints. The solve is then repeated from the solution of the easier mission. After one
+        such failure, the easier mission is solved first for all further journeys, because their
+        solves are expected to fail, too.
 
         Parameters
         ----------
@@ -380,10 +383,10 @@ class RouteFlights:
         is a solution on the same mesh that costs no more than `flown`.
 
         On a coarse mesh, a flight of free duration past the corners of zones has many local optima.
-        They differ in duration, and in which collocation points are nearest to the corners. Each
-        solve starts from the path of the best solution, flown in less time, and may end in another
-        local optimum. If the new solution costs less, it becomes the best solution, and the solves
-        are repeated from it.
+        In each of them, other collocation points are nearest to the corners, and the duration
+        differs. Each solve starts from the path of the best solution, flown in less time, and may
+        end in another local optimum. If the new solution costs less, it becomes the best solution,
+        and the solves are repeated from it.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
@@ -412,8 +415,9 @@ class RouteFlights:
     def _rough_options(self) -> SolverOptions:
         """Return Ipopt's options for the coarse solves with which journeys are compared.
 
-        Ipopt's convergence tolerance is the constant `ON_FIRST`. If the scenario allows no mesh
-        refinement, the options are those of the mission, because no more accurate solve follows.
+        As a rule, Ipopt's convergence tolerance is the constant `ON_FIRST`. If the scenario allows
+        no mesh refinement, the coarse solves are the last ones, and the options are those of the
+        mission.
         """
         options = self._mission.arguments["options"]
         if self._scenario.solver.max_refinements > 0:
@@ -423,11 +427,11 @@ class RouteFlights:
     def _fly_beside(self, journey: Journey) -> Solution:
         """Solve along one of several journeys, without effect on the solves along the others.
 
-        A journey is a route for each leg of the mission. The solve is made by the method `fly`. If
-        it fails, `fly` repeats it from the solution of an easier mission (waypoints passed
-        exactly). `fly` then also sets a flag. While the flag is set, `fly` solves the easier
-        mission first for every journey. The present method resets the flag to its previous value
-        after the solve.
+        The method `fly` solves the mission. If the solve fails, `fly` repeats it from the solution
+        of an easier mission (waypoints passed exactly), and sets a flag. With the flag set, `fly`
+        solves the easier mission first for every later journey. This method restores the flag after
+        the solve, so that solves along other journeys are independent of this one. `journey` is a
+        route for each leg of the mission.
         """
         is_plain = self._is_plain
         solution = self.fly(journey)
@@ -438,7 +442,7 @@ class RouteFlights:
         """Refine the mesh of a solution and solve again, with a limited number of meshes.
 
         `flown` is the solution on its present mesh. `meshes` is the largest number of meshes,
-        counting the present mesh. If it is None, the mesh is refined to the mission's tolerance.
+        including the present mesh; None to refine the mesh to the mission's tolerance.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -557,8 +561,8 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
     -------
     dict
         "time" -> fractions of the horizon, shape (n,); name of a state -> its samples; "duration"
-        -> the end time [s]. The velocities are divided by `share`, because the same path is flown
-        in another time. All other states are those of the solution.
+        -> the end time [s]. The velocities are those of the solution divided by `share`, because
+        the same path takes `share` times as long. All other states are those of the solution.
 
     Examples
     --------
@@ -577,8 +581,8 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which a solution really passes the zones.
 
-    A journey is a route for each leg of the mission, from one waypoint to the next. A solution may
-    pass a keep-out zone on another side than its initial guess.
+    A journey is a route for each leg of the mission, from one waypoint to the next. The solve may
+    move the path of its initial guess to another side of a keep-out zone.
 
     Parameters
     ----------
@@ -618,12 +622,11 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 
     The result has one set of pairs (name of a zone, side) for each leg of the mission.
 
-    The caller does not solve another journey if it passes all touched zones on the same sides. The
-    reason is as follows. A zone that the flight does not touch has no effect on the flight: without
-    this zone, the flight would still be a local optimum. Suppose that the flight is the only local
-    optimum that passes the touched zones on these sides. Then no other journey that passes the
-    touched zones on these sides is cheaper. This assumption is not proven; see
-    docs/theory/routes.md.
+    The caller skips every other journey that passes all touched zones on the same sides, for the
+    following reason. Only the touched zones constrain the flight: without the other zones, it would
+    still be a local optimum. Assume that it is the only local optimum that passes the touched zones
+    on these sides. Then every journey that does so costs at least as much. The assumption is
+    plausible, but not proven; see docs/theory/routes.md.
 
     Parameters
     ----------
@@ -657,7 +660,7 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 
 
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
-    """Return whether a journey need not be solved, because a known solution costs no more.
+    """Return whether a journey need not be solved, because a known solution is as good.
 
     A journey is a route for each leg of the mission. `touched` has the zones that the known
     solution touches: for each leg, a set of pairs (name of a zone, side on which it is passed). The

@@ -5,21 +5,21 @@ or under. A route is a path in a graph. The nodes of the graph are points round 
 way. Its edges are the straight lines between nodes that no zone blocks. Dijkstra's algorithm finds
 the shortest path, which is the shortest route of all.
 
-Further routes are found in order of length by Murty's method [1]_. The zones are numbered. All
-routes but the shortest are divided into sets, one set for each zone. The routes in the set of zone
-k pass zone k on another side than the shortest route. They pass zones 1 to k - 1 on the same sides
-as the shortest route. Dijkstra's algorithm finds the shortest route of each set. The shortest of
-these routes is the next result, and its set is divided in the same way.
+Further routes are found in order of length by Murty's method [1]_. All routes but the shortest are
+divided into disjoint sets, one set for each zone. The routes in the set of zone k pass zone k on
+another side than the shortest route, and zones 1 to k - 1 on the same sides. Dijkstra's algorithm
+finds the shortest route of each set. The shortest of these routes is the next result, and its set
+is divided in the same way.
 
 Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk. Each leg
-is flown from rest to rest in the seven phases of [2]_: the jerk is j, 0, -j to reach the speed, 0
-along the leg, and -j, 0, j to stop. A leg that is too short for the speed has no cruise phase and a
-lower peak speed. A leg that is too short for the largest acceleration also has a lower peak
-acceleration.
+is flown from rest to rest in the seven phases of [2]_. The jerk is j, 0, -j to reach the speed, 0
+along the leg, and -j, 0, j to stop. On a leg that is too short to reach the speed, the phase of
+constant speed is left out and the peak speed is lower. On an even shorter leg, the peak
+acceleration is lower, too.
 
 The vehicle stops at every waypoint and hovers there as prescribed. It also stops at every corner of
-the shortest clear path round keep-out zones. At the goal it hovers. The times that the mission
-gives are ignored: the speed determines the times of a cruise.
+the shortest clear path round keep-out zones. At the goal it hovers. The speed determines the times
+of a cruise; the times that the mission gives are ignored.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
    Operations Research 16 (1968).
@@ -136,9 +136,9 @@ def find_routes(
     Returns
     -------
     tuple of Route
-        Empty if there is no route. The corners of a route keep a distance from each zone: the
-        required clearance plus the constant `zones.MARGIN_M` [m]. No route leads between two zones
-        if the space is too narrow for such a corner.
+        The routes; empty if there is none. The corners of a route have a distance from each zone:
+        the required clearance plus the constant `zones.MARGIN_M` [m]. A gap between two zones that
+        is too narrow for such a corner counts as closed.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -162,9 +162,10 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of the keep-out zones that block every route between two places.
 
-    Removing a single zone may open a route. The result then names all zones whose removal alone
-    opens a route. Otherwise the result names zones that must all be removed to open a route.
-    `airspace` has the zones. `start` and `goal` are the two places [m].
+    If the removal of a single zone can open a route, the result names every zone of this kind.
+    Otherwise it names a minimal set of zones that block every route by themselves: if there were
+    only these zones, the removal of any one of them would open a route. `airspace` has the zones.
+    `start` and `goal` are the two places [m].
     """
     zones = airspace.keep_out
 
@@ -244,9 +245,9 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 def journeys_of(told: Scenario) -> tuple[Journey, ...]:
     """Return the shortest journeys of a mission, inside the edges of its wind field.
 
-    A journey is a sequence of routes, one for each leg from one waypoint to the next. Journeys stay
-    inside the edges of the field if the mission may not leave it (see `field_edges`), and inside
-    the mission's fence `airspace.keep_in` if it has one.
+    A journey is a sequence of routes, one for each leg from one waypoint to the next. If the
+    mission must stay in the wind field, journeys stay inside its edges (see `field_edges`). If the
+    mission has a fence, `airspace.keep_in`, they also stay inside the fence.
 
     Parameters
     ----------
@@ -304,10 +305,11 @@ class NoRouteError(Exception):
 def with_plain_passages(told: Scenario) -> Scenario | None:
     """Return an easier mission, in which waypoints are passed exactly and at any speed.
 
-    `told` is the scenario of the mission. In the easier mission, the waypoints have no radius and
-    no speed limit. A radius limits the distance from the waypoint. Limits on distance or speed make
-    a first solve difficult, because their gradient vanishes where the distance or the speed is
-    zero. The result is None if no waypoint has a radius or a speed limit.
+    `told` is the scenario of the mission. The radius of a waypoint limits the distance at which the
+    vehicle passes it. The model limits the squares of distance and speed, so that their gradient
+    vanishes where the distance or the speed is zero. This makes a first solve difficult. The easier
+    mission has neither radii nor speed limits. The result is None if no waypoint has a radius or a
+    speed limit.
     """
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
@@ -327,8 +329,8 @@ class _Graph:
     ends : ndarray, shape (2, 3)
         Start and goal [m].
     relevant : list of KeepOut
-        The zones of the graph: its points are round these zones, and its lines avoid them. A route
-        may still cross another zone of the airspace. The caller checks this.
+        The zones of the graph: its points are round these zones, and its lines avoid them. Its
+        lines may cross other zones of the airspace; the caller checks this.
     """
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
@@ -435,7 +437,7 @@ class TriedRoute:
     name : str
         Name of the route, which states the sides on which it passes the zones.
     length_m : float
-        Length of the route made of straight lines, which was the initial guess.
+        Length of the route [m], a sequence of straight lines that was the initial guess.
     energy_J : float or None
         Energy of the optimal flight along the route [J]; None if the solve failed. If `is_refined`
         is False, the energy is that on a coarse mesh.
@@ -540,7 +542,7 @@ def cruise_at(
     """Return the mission with the times of an autopilot's cruise: passing times and duration.
 
     Cruise is flight along straight legs at one speed. At the end the vehicle hovers at the goal for
-    `settling_s`. If the flight would then last less than `least_s`, the hover is longer.
+    `settling_s`, or longer if the flight would otherwise last less than `least_s`.
 
     Parameters
     ----------
@@ -641,8 +643,8 @@ def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
     Cruise is the flight of an autopilot along straight lines at one speed. The legs of the mission
-    may be too short for the speed and acceleration that the scenario sets. The returned settings
-    keep the jerk of the scenario, and result in the same flight.
+    may be too short to reach the speed and acceleration that the scenario sets. The returned
+    settings have lower values in this case, the same jerk, and result in the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(

@@ -88,8 +88,8 @@ class Search:
     A search consists of many solves, on several meshes and from several initial guesses. One object
     of this class is the progress callback of all solves. Ipopt calls it at each iteration, and
     stops if the search has used up its time. The object also keeps the best usable plan: a plan
-    that simulation confirms at lower accuracy than requested. It is the result of a search that is
-    stopped.
+    that simulation confirms at lower accuracy than requested. A search that is stopped returns this
+    plan.
 
     Parameters
     ----------
@@ -142,14 +142,13 @@ class Search:
 
     @property
     def is_early(self) -> bool:
-        """Whether it is too early in the search to spend time on making usable plans.
+        """Whether the search is in its first two seconds or so, too early for usable plans.
 
-        The result is True during about the first two seconds of solves. A usable plan is a plan
-        that simulation confirms at lower accuracy than requested. It is needed only if the search
-        is stopped before it ends. Most searches end soon without being stopped, and need no usable
-        plan.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
+        needed only if the search is stopped. Making one takes time, and most searches end soon and
+        by themselves.
 
-        Callers ignore the property unless the highest accuracy, `proof`, is requested.
+        Callers use the property only at the highest accuracy, `proof`.
         """
         return self.work - self._patient_from < _PATIENCE
 
@@ -158,18 +157,19 @@ class Search:
 
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
         result of a search that is stopped. The function `make_first` returns a plan that was
-        simulated, or None. It is called once, between two iterations of Ipopt, if after somewhat
-        less than a second the search has no usable plan. Most searches end earlier and do not need
-        it.
+        simulated, or None. It is called between two iterations of Ipopt, at most once: after
+        somewhat less than a second, if the search has no usable plan by then. Many searches end
+        earlier.
         """
         self._make_first = make_first
 
     def begin_apart(self, spent_s: float) -> None:
-        """Prepare this object for some solves of the search in a forked copy of the process.
+        """Prepare the copy of this object in a forked process for its part of the solves.
 
-        The copy calls this method before its solves. Afterwards, the object shows no progress, and
-        does not call the function set by `begin_with`. `spent_s` is the processor time of the
-        search before the fork [s]. It is added to the time of the copy, whose clock starts at zero.
+        The forked process calls this method before its solves. The object then shows no progress,
+        and ignores the function set by `begin_with`. `spent_s` is the processor time of the search
+        before the fork [s]. It is added to the time of the forked process, whose clock starts at
+        zero.
         """
         self._make_first = self._show = None
         self._began = time.thread_time() - spent_s
@@ -177,9 +177,8 @@ class Search:
     def is_stopped(self) -> bool:
         """Return whether the user or the time limit has stopped the search.
 
-        The user stops the search through a progress callback: the callback returns False. To learn
-        whether the user has stopped the search, this method calls the callback with the last
-        iteration of Ipopt.
+        The user stops the search through a progress callback, which then returns False. This method
+        calls the callback with the last iteration of Ipopt to find out.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -200,12 +199,11 @@ class Search:
         self.stage = stage
 
     def restart_patience(self) -> None:
-        """Set the property `is_early` to true for about the next two seconds of solves.
+        """Make the property `is_early` true again for about two seconds of solves.
 
-        While `is_early` is true, no usable plans are made if the accuracy `proof` is requested. A
-        usable plan is a plan that simulation confirms at lower accuracy than requested. This method
-        is called after the order of the waypoints was chosen, before the whole mission is solved in
-        this order.
+        While it is true, a search at the accuracy `proof` makes no usable plans (plans that
+        simulation confirms at lower accuracy than requested). This method is called when the order
+        of the waypoints has been chosen, before the whole mission is solved in this order.
         """
         self._patient_from = self.work
 
@@ -254,7 +252,7 @@ class Search:
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
         result of a search that is stopped. The mesh refinement calls this method after the solve on
         each mesh. No usable plan is made after the time limit, or if simulations have already taken
-        too large a part of the search.
+        too large a share of the search.
 
         Parameters
         ----------
@@ -262,11 +260,12 @@ class Search:
             Energy of the solution [J].
         flown : callable
             Returns an iterator over simulated plans. The first plan is made from the solution as it
-            is. Each further plan is solved with stricter limits, because the simulation of the
-            previous plan broke limits. Further plans are tried only while the search has no usable
-            plan.
+            is. If its simulation breaks limits, the next plan is solved with stricter limits, and
+            so on. Plans are taken until one of them becomes the best usable plan. If the search
+            already has a usable plan that was made from a solution, only the first plan is taken.
         points : int
-            Number of points of the mesh. The cost of a simulation is taken as proportional to it.
+            Number of points of the mesh, to which the cost of a simulation is taken as
+            proportional.
         is_skipped : bool
             If True, no usable plan is made, and only the energy is noted for the progress display.
         """
@@ -295,10 +294,10 @@ class Search:
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. Plans are
-        made from a solution of the optimal control problem, or from a smooth path along a route. If
-        both plans were made from solutions, the plan with the smaller uncertainty of the energy is
-        better. Otherwise the plan of lower cost is better.
+        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
+        made from a solution of the optimal control problem, or from a smooth path along a route. Of
+        two plans made from solutions, the better one has the smaller uncertainty of the energy. In
+        all other cases, the better plan has the lower cost.
         """
         found, kept = as_usable(plan), self.usable
         if not found.is_flyable:
@@ -314,9 +313,10 @@ class Search:
     def ended(self, plan: Plan) -> Plan:
         """Return the result of the search: its last plan or, if that fails, the best usable plan.
 
-        `plan` is the last plan. A usable plan is a plan that simulation confirms at lower accuracy
-        than requested. The best usable plan replaces a last plan that simulation does not confirm.
-        A last plan that states that the mission is infeasible is not replaced.
+        `plan` is the last plan. It is the result if simulation confirms it, at the requested or at
+        lower accuracy, or if its status says that the mission is infeasible. Otherwise the result
+        is the best usable plan, or `plan` if the search has none. A usable plan is a plan that
+        simulation confirms at lower accuracy than requested.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -341,8 +341,10 @@ class Search:
         """Return the last plan with status "not converged" if the search ran out of time.
 
         `plan` is the last plan of the search. The message of the returned plan states how far the
-        search came. `plan` is returned unchanged if there was time left, if simulation confirms the
-        plan, or if the mission was found infeasible.
+        search came. `plan` is returned unchanged in each of these cases:
+        - There was time left.
+        - Simulation confirms the plan.
+        - The mission was found infeasible.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
@@ -363,12 +365,14 @@ def _is_optimised(plan: Plan | None) -> bool:
 def as_usable(plan: Plan) -> Plan:
     """Return a plan as usable if simulation confirms it at lower accuracy than requested.
 
-    The plan must meet two conditions. The first condition is that its simulated flight is within
-    the tolerances of a usable plan, `scenario.accuracy.USABLE`, which do not depend on the accuracy
-    requested. The second condition is that an estimate of the energy that a better plan may save is
-    known. If both hold, the result has the status `USABLE`, and its message states how closely the
-    simulated flight agrees with the plan. Otherwise the plan is returned unchanged. A plan that is
-    infeasible, or that simulation has confirmed already, is also returned unchanged.
+    The result has the status `USABLE` if all of these hold:
+    - Simulation has not confirmed the plan already, and its status is not infeasible.
+    - Its simulated flight is within the fixed tolerances of a usable plan,
+      `scenario.accuracy.USABLE`.
+    - The energy that a better plan may save is estimated (`Plan.energy_uncertainty` is finite).
+
+    The message of the result then states how closely the simulated flight agrees with the plan.
+    Otherwise the plan is returned unchanged.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan

@@ -1,10 +1,10 @@
 """Smooth path along a route at prescribed speeds, without an optimisation.
 
 A route consists of straight lines. A point moves along these lines with bounded acceleration, and
-slowly past corners. Its velocity still changes suddenly at each corner. The smooth path is a moving
-average of this motion: the weighted mean of the point's positions over a short span of time.
-Velocity, acceleration and jerk of the path are continuous. Its greatest speed is at most the
-greatest speed of the point.
+slowly past corners. At each corner, the direction of its velocity jumps. The smooth path is a
+moving average of this motion: the weighted mean of the point's positions over a short span of time.
+Velocity, acceleration and jerk of the path are continuous. Its greatest speed is at most that of
+the point.
 
 A moving average cuts corners. The corners of the lines are therefore moved outwards, until the path
 passes through the original corners. Derivation and sources: docs/theory/geometric_plan.md, eqs. (1)
@@ -74,9 +74,8 @@ class Pace:
     acceleration : float
         Greatest acceleration along the lines between the corners [m/s^2].
     turning : float
-        Greatest acceleration of the smooth path at the corners [m/s^2]. The smooth path cuts the
-        corners. The greatest possible distance between path and corner is proportional to this
-        acceleration.
+        Greatest acceleration of the smooth path at the corners [m/s^2]. It limits how far the path
+        cuts a corner: the greatest distance between path and corner is proportional to it.
     """
 
     speed: float
@@ -123,9 +122,9 @@ class SmoothPath:
 class _Motion:
     """Motion along the straight lines of a route, in phases of constant acceleration.
 
-    The smooth path is the moving average of this motion. The values at the start and at the end of
-    each phase are `times` [s], `distances` travelled from the start [m] and `speeds` [m/s], each of
-    shape (n,). For each corner of the route, `passings` has the times at which the smooth path
+    The smooth path is the moving average of this motion. `times` [s] has the n borders of the
+    phases, shape (n,). `distances` travelled from the start [m] and `speeds` [m/s] have the values
+    at these times. For each corner of the route, `passings` has the times at which the smooth path
     reaches and leaves the corner [s].
     """
 
@@ -149,8 +148,8 @@ def smoothed(
     pace : Pace
         Greatest speed and accelerations.
     lasting : float, optional
-        Duration of the path [s]. The speed is reduced until the path takes this long. By default
-        the path takes as long as it needs at the greatest speed.
+        Duration of the path [s]; the speed is reduced to match it. By default the path is flown at
+        the greatest speed, which determines the duration.
 
     Returns
     -------
@@ -173,7 +172,7 @@ def smoothed(
 def _pace_for(
     stops: Sequence[Stop], corners: FloatArray, fastest: Pace, lasting: float
 ) -> Pace | None:
-    """Return the pace with which a motion along a route lasts a given duration.
+    """Return the pace at which a motion along a route lasts a given duration.
 
     A pace is the greatest speed and the greatest accelerations of a motion.
 
@@ -211,9 +210,10 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
     """Return the speed of a motion along straight lines at each of n corners [m/s], shape (n,).
 
     The first corner is the start and the last is the goal. The speed is zero at the start, at the
-    goal and at hovers. Elsewhere it is the greatest speed that `stops` and `pace` allow. `pace`
-    limits the speed, the acceleration along the lines, and the acceleration of the smooth path at
-    the corners. The smooth path is the moving average of the motion.
+    goal and at hovers. Elsewhere it is the greatest speed that keeps these limits:
+    - the speed limits of `stops` and `pace`;
+    - the acceleration along the lines;
+    - the acceleration at the corners of the smooth path, which is the moving average of the motion.
 
     `stops` has the hover and the greatest speed at each corner. `steps` has the displacement from
     each corner to the next, shape (n - 1, 3) [m]. Implements docs/theory/geometric_plan.md, eqs.
@@ -238,11 +238,13 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
 def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
     """Return the motion along straight lines from corner to corner, with bounded acceleration.
 
-    The smooth path is a moving average of this motion over a time span. At a hover, the motion
-    rests for the duration of the hover plus the span, so that the smooth path rests for the
-    duration of the hover. At the start and at the goal, the motion rests for half of the span. At
-    hovers and at the goal, it also rests for a settling time. During this time, deviations of a
-    simulated flight vanish.
+    The smooth path is a moving average of this motion over a time span. So that the path rests when
+    it must, the motion rests for longer:
+    - at the start: half of the span;
+    - at a hover: the duration of the hover, the span and a settling time;
+    - at the goal: half of the span and a settling time.
+
+    During the settling time, deviations of a simulated flight vanish.
 
     `stops` has the corners of the route with the hovers and speeds that the mission requires.
     `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].
@@ -285,11 +287,11 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 
 
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
-    """Return the smooth path that is the moving average, over time, of a motion along lines.
+    """Return the smooth path: the moving average over time of a motion along straight lines.
 
     `motion` is the motion. `corners` has the ends of the straight lines, shape (n, 3) [m].
     `lasting` is the duration of the path [s], or None for the duration of the motion. If the motion
-    is shorter than `lasting`, the path rests at the last corner. Implements
+    ends earlier, the path rests at the last corner until its own end. Implements
     docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before

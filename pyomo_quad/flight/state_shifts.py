@@ -1,12 +1,13 @@
 """Shifts of a path in tilt, speed and rotor speeds, away from limits that a flight exceeds.
 
 Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
-A vehicle that follows the solution under feedback may then exceed the limit too. For the next
-simulated flight, the path that the vehicle follows is shifted away from the limit. Only the limited
-states are shifted, and only during the time of the excess. A linear-quadratic regulator keeps the
-vehicle on the path. During the shift, the regulator gives deviations of the shifted states a
-greater weight. The regulator knows the shift in advance, and begins to correct the flight before
-the shift begins. See docs/theory/tracking.md, eq. (9).
+A simulated vehicle that follows the solution under feedback may then exceed the limit, too. For the
+next simulation, the path that the vehicle follows is shifted away from the limit. Only the limited
+states are shifted, and only while the limit is exceeded.
+
+The feedback is a linear-quadratic regulator. During the shift, it gives deviations of the shifted
+states a greater weight. It knows the shift in advance, and begins to act before the shift begins.
+See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -70,8 +71,9 @@ def shifts_within_limits(
     limits : sequence of LimitValues
         Limited quantities at these samples (see `flight.displacement.limits_along`).
     tolerated : float
-        Tolerated violation of a limit. It is relative to the greatest magnitude of the limited
-        quantity in the flight, or to 1 in its unit if the magnitude is less than 1.
+        Tolerated relative violation of a limit. The tolerated absolute violation is tolerated *
+        max(1, m), where m is the greatest magnitude of the limited quantity in the flight, in its
+        unit.
 
     Returns
     -------
@@ -119,8 +121,7 @@ def shifted(names: Sequence[str], times: FloatArray, shifts: Sequence[StateShift
 def _is_kept_by_shifts(limit: str) -> bool:
     """Return whether a limit concerns tilt, speed or rotor speed.
 
-    `limit` is the full name of the limit. If a flight exceeds such a limit, the path that the
-    flight follows is shifted away from the limit.
+    `limit` is the full name of the limit. Shifts of the path are made for these limits only.
     """
     return limit in _TILT_LIMITS or limit == _SPEED_LIMIT or limit.startswith(_ROTOR_LIMIT)
 
@@ -128,11 +129,11 @@ def _is_kept_by_shifts(limit: str) -> bool:
 def _slope(limit: str, names: Sequence[str], states: FloatArray) -> dict[str, float]:
     """Return the gradient of a limited quantity with respect to the states of the vehicle.
 
-    The quantity is a state (roll, pitch or a rotor speed) or the speed of the vehicle. A path is
-    shifted along the gradient to lead it away from a lower limit, and against the gradient for an
-    upper limit. `limit` is the full name of the limit. `states` has the states at which the
-    gradient is evaluated, shape (n_states,), and `names` has their names. The result maps a state's
-    name to the partial derivative, for each state on which the quantity depends.
+    `limit` is the full name of the limit. It limits a state (roll, pitch or a rotor speed) or the
+    speed of the vehicle. `states` has the states at which the gradient is evaluated, shape
+    (n_states,), and `names` has their names. The result maps the name of each state on which the
+    quantity depends to the partial derivative. The caller shifts a path against the gradient for an
+    upper limit, and along it for a lower limit.
     """
     if limit == _SPEED_LIMIT:
         velocity = states[[names.index(name) for name in VELOCITY_STATES]]

@@ -2,7 +2,7 @@
 
 In steady flight the position changes at a given velocity, and the other states are constant. The
 states and controls of a steady flight are called its trim. Every quantity is computed with the
-compiled equations. A user's own model is thus treated in the same way as the package's model.
+compiled equations, so that a user's own model is treated in the same way as the package's model.
 
 This module also computes the thrust that a motion requires (`MomentumDemand`), and the power of the
 rotors at a given thrust. A proven lower bound of a mission's energy uses both: see
@@ -100,8 +100,8 @@ def _sharpen(
 ) -> None:
     """Reduce the residual of a least-squares solution to rounding errors by Newton steps.
 
-    The steps use the Jacobian of the search's last iteration. Nothing is done if the residual is
-    large, because there is then no solution near.
+    The steps use the Jacobian of the last iteration of the least-squares search. A large residual
+    means that no solution is near; nothing is done in this case.
 
     Parameters
     ----------
@@ -110,8 +110,8 @@ def _sharpen(
     found : OptimizeResult
         Result of `scipy.optimize.least_squares`; its solution and residual are changed in place.
     scale : ndarray, shape (n,)
-        Magnitudes of the unknowns. Of all steps that remove the residual, the one of least norm in
-        units of these magnitudes is taken.
+        Magnitudes of the unknowns. There may be many steps that remove the residual. The step is
+        the one whose components, divided by these magnitudes, have the least norm.
     """
     for _ in range(_SHARPENINGS):
         if not np.max(np.abs(found.fun), initial=0.0) <= _NEARLY:
@@ -152,10 +152,11 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        The function solves for the controls and for all states but two kinds. Position and heading
-        have the values of the mission's start. States that measure consumption, such as the charge
-        drawn, are not constant in any flight; they have their initial values. A state counts as a
-        measure of consumption if the mission fixes it at the start and leaves it free at the end.
+        The function solves for the controls and most states. Two kinds of states have fixed values:
+        - Position and heading have their values at the mission's start.
+        - States that measure consumption, such as the charge drawn, have their initial values. They
+          change in every flight. These are the states that the mission fixes at the start and
+          leaves free at the end.
 
         Parameters
         ----------
@@ -227,7 +228,7 @@ class SteadyFlight:
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states that are constant in a steady flight, except the velocity.
+        """Return the states that are constant in a steady flight, apart from the velocity.
 
         `trim` is the steady flight. The states are attitude, body rates and rotor speeds, and the
         induced velocity if the model has it. The result maps the full name of each state to its
@@ -257,7 +258,8 @@ class SteadyFlight:
             Charge drawn from the full pack [A h].
         circuit : ndarray, shape (n, n_circuit), optional
             Relaxation voltage [V] and temperature [K] of the battery at the given charges; by
-            default their initial values. A quantity that is not a state of the model has no column.
+            default their values in `trim`. There is a column for each of the two that is a state of
+            the model.
 
         Returns
         -------
@@ -307,11 +309,11 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        The load is that of the steady flight `trim`. `drawn` has charges drawn from the full
-        battery [A h], shape (n,). Row k of the result, shape (n, n_circuit), has the values after
-        the charge `drawn[k]`. If the battery cannot give a charge under this load, the row of the
-        largest possible charge is repeated. A quantity that the battery model does not have has no
-        column. The result is None if the model has neither quantity.
+        The load is that of the steady flight `trim`. `drawn` has increasing charges drawn from the
+        full battery [A h], shape (n,). Row k of the result, shape (n, n_circuit), has the values
+        after the charge `drawn[k]`. If the battery cannot give the later charges under this load,
+        the last possible row is repeated for them. There is a column for each of the two quantities
+        that the battery model has. The result is None if it has neither.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -377,9 +379,9 @@ class SteadyFlight:
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
         """Return the total power [W] at equal, constant rotor speeds; it may be negative.
 
-        In some models, braking a rotor returns no energy. The method `power` then returns zero
-        instead of a negative power (see `model.power`). The present method returns the negative
-        power itself. `speed` has rotor speeds [rad/s]; the result has the same shape.
+        Without regeneration, a braking rotor returns no energy, and the method `power` replaces a
+        negative power by zero (see `model.power`). This method returns the negative power itself.
+        `speed` has rotor speeds [rad/s]; the result has the same shape.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         if not self._dynamics.has(_UNCREDITED):
@@ -389,17 +391,17 @@ class SteadyFlight:
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
         """Return the power that accelerates all rotors, divided by the acceleration [J s/rad].
 
-        All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. Only
-        the power that is stored in the rotors is counted. The rotors return it when they slow down.
-        Losses that do not depend on the sign of the acceleration are not counted. The result has
-        the shape of `speed`.
+        All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. The
+        power counted is that which changes the kinetic energy of the rotors, and which they return
+        when they slow down. It is half the difference between the powers at +1 and -1 rad/s^2, so
+        that losses which are equal at both cancel. The result has the shape of `speed`.
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
         return len(self._rotors) * (up - down) / 2.0
 
     def power_at_thrust(self, thrust: float) -> float:
-        """Return the power [W] of equal, constant rotor speeds that give a total thrust [N].
+        """Return the power [W] at a total thrust [N], with equal, constant rotor speeds.
 
         A negative thrust counts as zero.
         """
@@ -523,9 +525,9 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    With the rotors stopped, weight and air cause an acceleration, which is computed from the
-    compiled equations. This acceleration is subtracted from the acceleration of the motion. The
-    required thrust is the mass times the difference; it does not depend on the attitude.
+    The required thrust is mass * (a - a_0). Here a is the acceleration of the motion. With the
+    rotors stopped, weight and air cause the acceleration a_0, which is computed from the compiled
+    equations. The required thrust vector does not depend on the attitude.
 
     If the drag of the air is linear in the velocity, the required thrust along each world axis is
     mass * acceleration + drag * velocity + standing(t). Here standing(t) is the thrust [N] that
@@ -600,8 +602,8 @@ class MomentumDemand:
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
     """Return the reasons why the battery cannot supply a hover of the mission's duration, in words.
 
-    The result is empty if the battery can supply the hover. `steady` gives the power and the charge
-    rate of the hover.
+    `steady` gives the power and the charge rate of the hover. The result is empty if the battery
+    can supply it.
     """
     hover = steady.hover
     pack = scenario.battery

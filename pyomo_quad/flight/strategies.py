@@ -60,8 +60,8 @@ def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Sear
 
     The condition of each strategy is tested after the actions of the strategies before it. The
     action is repeated while the condition holds, up to the strategy's number of repeats. An action
-    that returns None came to nothing. Such an action adds no line to the record of the search and
-    is not repeated.
+    that came to nothing returns None. It is not repeated, and adds no line to the record of the
+    search.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def _hold_pack(candidate: Candidate) -> str:
 
     The plan in `candidate` draws more power than the battery can give. If simulation confirms the
     new plan to the requested accuracy, the new plan replaces the old plan. Otherwise the old plan
-    is kept. If the new solve fails, it is not retried from other initial guesses. The result is the
+    is kept. A new solve that fails is final: other initial guesses are not tried. The result is the
     status of the new solve as text, for the list of strategies that were tried.
     """
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))

@@ -2,8 +2,8 @@
 
 A solution satisfies its limits at the collocation points. Between these points its path may cut the
 corner of a zone, or go below the floor (least height above the ground). The problem is therefore
-solved again with a stricter limit. The limit is changed by the amount of the violation, so that the
-path between the points just satisfies the limit of the mission.
+solved again with a limit that is stricter by the amount of the violation. The path between the
+points then just satisfies the limit of the mission.
 
 A stricter limit costs energy. The energy of the plan is therefore compared with the least energy of
 the mission with its original limits. This least energy is estimated from the solution with the
@@ -92,8 +92,7 @@ class Mission(Protocol):
 
         `Problem.solve` is the solver of the compiled problem. The property `arguments` has its
         usual arguments for the mission. `chosen` holds arguments that replace the usual ones.
-        `numbers` maps the full names of parameters to their values in this solve. It may also hold
-        parameters whose values are unchanged.
+        `numbers` maps the full names of parameters, changed or not, to their values in this solve.
         """
 
 
@@ -106,10 +105,10 @@ def within_limits(
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    For each plan, the problem is solved again on one mesh. The limits that the last simulated
-    flight broke are made stricter. The mesh is made finer at the times of the violations. A flight
-    may satisfy all limits, but cost more energy than the accuracy allows, because the limits are
-    too strict. The next solve then has less strict limits and a still finer mesh.
+    For each new plan, the problem is solved again on one mesh. The limits that the last simulated
+    flight broke are made stricter, and the mesh is made finer at the times of the violations. If
+    the limits are too strict, the flight keeps them but costs more energy than the accuracy allows.
+    The next solve then has less strict limits and an even finer mesh.
 
     Parameters
     ----------
@@ -129,10 +128,12 @@ def within_limits(
     ------
     Plan
         Plan with the result of its simulation. The parameter values stored with the plan are those
-        of the mission, without the stricter limits. The iteration ends if a solve fails, or if all
-        limits are satisfied at an acceptable cost. It also ends if a stricter limit cannot help:
-        the violation is too large, no parameter sets the limit, or the state at the start or at the
-        goal is outside the stricter limit.
+        of the mission, without the stricter limits. The iteration ends in each of these cases:
+        - All limits are satisfied at an acceptable cost.
+        - A solve fails.
+        - A flight with less strict limits breaks limits again.
+        - The violation of a limit is too large, or no parameter sets the limit.
+        - The state at the start or at the goal is outside a stricter limit.
     """
     numbers = dict(mission.arguments["parameters"] or {})
     margins, cuts = dict[str, float](), dict[str, float]()
@@ -191,12 +192,12 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    The solution `relaxed` was solved with the limits of the mission, but its flight breaks them by
-    the amounts `cuts`. Its energy is too low. The solution `strict` was solved with limits that are
-    stricter by the amounts `margins`. Its flight satisfies the limits of the mission, but its
-    energy is too high. The least energy of the mission lies between the two energies. It is
-    interpolated linearly: to first order, the least energy changes in proportion to the change of a
-    limit. Implements docs/theory/tracking.md, eq. (10).
+    The solution `relaxed` has the limits of the mission, but its flight breaks them by the amounts
+    `cuts`. Its energy E_low is too low. The solution `strict` has limits that are stricter by the
+    amounts `margins`. Its flight keeps the limits of the mission, but its energy E_high is too
+    high. To first order, the energy changes in proportion to the change of a limit. For one limit,
+    the estimate is therefore E_high - s (E_high - E_low), with s = margin / (margin + cut). For
+    several limits, the largest s is used. Implements docs/theory/tracking.md, eq. (10).
 
     `mission` solves the mission. `margins` and `cuts` map the full name of a parameter that sets a
     limit to an amount in its unit.
@@ -223,13 +224,12 @@ def _helps(breach: Violation, figures: Figures) -> bool:
     """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
     `breach` is the violation. `figures` has the tolerances that the plan must meet. A stricter
-    limit helps if the violation is small and a parameter of the model sets the limit. Otherwise
-    only a finer mesh helps.
+    limit helps if the violation is small and a parameter of the model sets the limit.
 
-    Limits on the rotors' speed and thrust are an exception. A stricter limit on them costs more
-    energy than any accuracy level tolerates. It is tried only if `figures` is the constant `USABLE`
-    of `scenario.accuracy`, the tolerances of a usable plan. A usable plan is a plan that simulation
-    confirms at lower accuracy than requested.
+    Stricter limits on the rotors' speed and thrust cost more energy than any accuracy level
+    tolerates. They are tried only if `figures` has the tolerances of a usable plan (the constant
+    `scenario.accuracy.USABLE`). A usable plan is a plan that simulation confirms at lower accuracy
+    than requested.
     """
     name = breach.name.partition("[")[0]
     is_affordable = name not in _DEAR or figures is USABLE
@@ -275,8 +275,9 @@ def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict
     """Return parameter values with changes added, for a solve with stricter limits.
 
     `numbers` maps full names of parameters to values. `changes` maps some of these names to amounts
-    to add. No change reduces a parameter by more than half. The floor stays below start and goal,
-    and the ceiling above them, because the mission would otherwise be infeasible.
+    to add. Changes are clipped in two ways. A parameter is reduced by at most half of its value.
+    The floor stays at or below start and goal, and the ceiling at or above them, so that the
+    mission stays feasible.
     """
     found = dict(numbers)
     for name, change in changes.items():
@@ -309,12 +310,12 @@ def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
 def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
     """Return the mesh of a solution with shorter elements during given windows of time.
 
-    Each element inside a window is divided into parts of at most 1 / `denser` of its length. If an
-    element is only partly inside a window, the part inside is divided. Elements outside the windows
-    are unchanged. `windows` has the start and the end time of each window [s].
+    The part of each element that is inside a window is divided. The new elements have at most 1 /
+    `denser` of the length of the whole element. Elements outside the windows are unchanged.
+    `windows` has the start and the end time of each window [s].
 
-    A path may cut the corner of a zone between two collocation points. The depth of the cut is
-    proportional to the distance between the points.
+    The purpose is a path that cuts corners of zones less: the depth of the cut between two
+    collocation points is proportional to their distance.
     """
     mesh, cuts = solution.mesh, list[float]()
     for window in windows:
@@ -338,9 +339,9 @@ def _windows(
 ) -> list[tuple[float, float]]:
     """Return the periods in which the mesh is refined, because a flight cuts through a zone.
 
-    Each period contains the time during which the flight violates the limit on the distance from a
-    zone. It begins earlier and ends later by the length of this time, because the optimum on a
-    finer mesh may pass the zone a little earlier or later.
+    If the flight is too near to a zone from time a to time b, the period is from a - (b - a) to b +
+    (b - a). It is longer than the violation, because the optimum on a finer mesh may pass the zone
+    a little earlier or later.
 
     Parameters
     ----------
@@ -350,8 +351,7 @@ def _windows(
         Tolerances of the required accuracy.
     numbers : mapping
         Full name of a parameter that sets a limit -> its value. The flight is compared with the
-        limits that these values set. Parameters that are not in the mapping have their values in
-        the mission.
+        limits that these values set. All other parameters have the values of the mission.
 
     Returns
     -------

@@ -1,9 +1,9 @@
 """Search for the cheapest order of the waypoints of a mission, from the energies of its legs.
 
 A leg is the flight from one place of the mission to another, from hover to hover. The legs between
-neighbouring places and the legs of the cheapest orders are solved for their energies. The energies
-of all other legs are predicted from the solved ones, see docs/theory/orders.md, eq. (1). Then the
-whole mission is solved for the few cheapest orders.
+neighbouring places and the legs of the cheapest orders are solved as flights of their own, which
+gives their energies. The energies of all other legs are predicted from the solved ones, see
+docs/theory/orders.md, eq. (1). Then the whole mission is solved for the few cheapest orders.
 """
 
 from __future__ import annotations
@@ -115,26 +115,29 @@ class LegTable:
 
     @property
     def lengths(self) -> FloatArray:
-        """Lengths of the shortest routes between all pairs of places [m], infinite without a route.
+        """Lengths of the shortest routes between all pairs of places [m].
 
-        The shape is (n_places, n_places), with the start first and the goal last.
+        The length is infinite if there is no route. The shape is (n_places, n_places), with the
+        start first and the goal last.
         """
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
     def costs(self) -> FloatArray:
-        """Return the cost of each leg [J]: solved, or an optimistic prediction.
+        """Return the cost of each leg [J], solved or predicted optimistically.
 
         A leg is the flight from one place to another, from hover to hover. Its cost is the energy
-        plus the price of time times the duration. The cost of a leg that was not tried is predicted
-        by the regression of docs/theory/orders.md, eq. (1). Twice the cross-validated root mean
-        square error of the regression is subtracted from the prediction. As long as no leg is
-        solved, the lengths of the legs [m] serve as costs.
+        plus the price of time times the duration. There are three kinds of legs:
+        - Solved: the cost of the solution.
+        - Not tried: prediction - 2 e. The prediction is the regression of docs/theory/orders.md,
+          eq. (1), and e is its cross-validated root mean square error.
+        - Tried, but the solve failed: the prediction.
 
-        If the solve of a leg failed, the cost of the leg is the prediction, from which nothing is
-        subtracted. The cost is not infinite, because the whole mission may still fly this leg
-        without stops at its two ends. An example is a mission of fixed duration. Each leg receives
-        a part of the duration, in proportion to the length of the leg. This time may be too short
-        for a flight from hover to hover, but long enough for a flight without stops.
+        As long as no leg is solved, the lengths of the legs [m] serve as costs.
+
+        A leg whose solve failed may still be part of the mission, because the mission passes the
+        places without stops. In a mission of fixed duration, for example, each leg receives a part
+        of the duration, in proportion to its length. This time may be too short for a flight from
+        hover to hover, but long enough for a flight without stops.
 
         Returns
         -------
@@ -193,8 +196,8 @@ class LegTable:
         """Return the regressors that predict the energy of a leg (flight between two places).
 
         `leg` is the pair of indices of the two places. The regressors are functions of length,
-        direction, height and detour of the leg. The prediction is a linear combination of the
-        regressors, see docs/theory/orders.md, eq. (1).
+        direction, height and detour of the leg. The prediction is a linear combination of them, see
+        docs/theory/orders.md, eq. (1).
         """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
         (dx, dy, dz), height = there - here, float(here[2] + there[2]) / 2.0
@@ -216,11 +219,11 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of the waypoints of a mission, by the costs of their legs.
 
-    A leg is the flight between two places, from hover to hover. In each round, the unsolved legs of
-    the cheapest orders are solved, and the orders are ranked again. The search ends when all legs
-    of the cheapest orders have been solved. No unsolved leg can then lead to a cheaper order,
-    because the costs of unsolved legs are optimistic predictions. With more waypoints than the
-    constant `orders.MOST_EXACT`, the number of rounds is limited.
+    A leg is the flight between two places, from hover to hover. In each round, the orders are
+    ranked by their costs, and the unsolved legs of the cheapest orders are solved. The search ends
+    when all legs of the cheapest orders have been solved. Every order with an unsolved leg then
+    costs at least as much as these, even with the optimistic prediction for this leg. With more
+    waypoints than the constant `orders.MOST_EXACT`, the number of rounds is limited.
 
     Parameters
     ----------
@@ -270,10 +273,10 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return the least number of legs that a search for the order of waypoints will solve.
+    """Return the least number of legs that a search for the best order will solve.
 
     A leg is the flight between two places. `waypoints` is the number of waypoints. The result
-    serves to estimate the cost of a search in advance.
+    serves to estimate the computing time of a search.
     """
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
@@ -343,8 +346,8 @@ class BestOrder:
     def has_time(self) -> bool:
         """Return whether there is time to solve the mission for another order of the waypoints.
 
-        There is time until the time limit of the search is reached. For the first order, the result
-        is always True.
+        There is time until the time limit of the search is reached. The first order is always
+        solved.
         """
         return not self._flown or not self._search.deadline.is_over
 
@@ -356,8 +359,7 @@ class BestOrder:
         Parameters
         ----------
         found : OrderSearch
-            The order of the waypoints, with the costs of separate flights between the places of the
-            mission. The order was found from these costs.
+            The order of the waypoints, found from the costs of separate flights between the places.
 
         Returns
         -------

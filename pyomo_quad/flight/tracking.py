@@ -2,10 +2,10 @@
 
 Between its collocation points, the solution satisfies the equations of motion only approximately.
 If its controls are simulated in open loop, the flight therefore misses the goal: an error in the
-speed of a rotor grows into an error of position with the fourth power of time. This module
+speed of one rotor causes a position error that grows with the fourth power of time. This module
 simulates the equations while a linear-quadratic regulator keeps the vehicle near the solution. The
 simulated states and controls satisfy the equations to the tolerance of the integrator. The energy
-of the simulated flight is close to the energy of the solution.
+of the simulated flight is close to that of the solution.
 
 Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 """
@@ -130,21 +130,21 @@ def tracked(
     demands : Demands, optional
         Changes of the path that the vehicle follows, relative to the solution.
     previous : Trajectories, optional
-        An earlier result for the same solution. Its demands may differ. The corrections anticipate
-        the deviations of this earlier flight from its path.
+        An earlier result for the same solution, possibly with other demands. The corrections
+        anticipate the deviations of this earlier flight from the solution.
 
     Returns
     -------
     Trajectories or None
         States, controls and energy of the flight, on the solution's mesh with long elements split.
-        Costates and Hamiltonian are interpolated. The result is None if a state grows beyond any
-        physical value, because the vehicle cannot follow the solution.
+        Costates and Hamiltonian are interpolated. None if the vehicle cannot follow the solution,
+        so that a state grows beyond any physical value.
 
     Raises
     ------
     SolveError
-        If the integrator fails, or if one element needs too many evaluations of the equations. Such
-        an element occurs when the vehicle tumbles far from its path.
+        If the integrator fails, or if one element needs too many evaluations of the equations, as
+        when the vehicle tumbles far from its path.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -218,11 +218,10 @@ class _Regulator:
     Attributes
     ----------
     transitions, driven : ndarray, shapes (n, n_states, n_states), (n, n_states, n_controls)
-        Matrices F and G of eq. (2), the linearised equations of an element. The deviation of the
-        states at the end of the element is F times the deviation at its start plus G times the
-        correction of the controls.
+        Matrices F and G of eq. (2), the linearised equations of an element. A deviation d of the
+        states and a correction c of the controls give d_end = F d_start + G c.
     gains : ndarray, shape (n, n_controls, n_states)
-        Feedback matrices K of eq. (4). The correction of the controls is -K times the deviation.
+        Feedback matrices K of eq. (4). The feedback is c = -K d_start.
     values : ndarray, shape (n, n_states, n_states)
         Matrices P of eq. (4), one for the end of each element. If d is the deviation at this time,
         d^T P d is the cost from this time to the end of the flight.
@@ -240,8 +239,9 @@ class _Regulator:
     def driven_by(self, aside: FloatArray) -> FloatArray:
         """Return the disturbances of the regulated system that a displacement of the path causes.
 
-        The displaced path does not satisfy the linearised equations of motion. Its defect in each
-        element acts like a known disturbance of the states, which the regulator can anticipate.
+        The displaced path violates the linearised equations of motion. Its defect in element k is F
+        aside[k] - aside[k + 1], with the matrix F of eq. (2). It acts like a known disturbance of
+        the states, which the regulator can anticipate.
 
         Parameters
         ----------
@@ -272,13 +272,15 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that demands cause, at the element boundaries.
 
     Demands are changes of the path that a simulated vehicle follows: pushes, hovers and shifts.
-    Pushes displace the path: they change position and velocity. They do not change roll and pitch,
-    because the regulator of the vehicle finds the tilt that the displaced path needs. During
-    demanded hovers, the velocity is changed to zero. Shifts change tilt, speed and rotor speeds.
+    They change the states as follows:
+    - Pushes change position and velocity. The regulator of the vehicle finds the tilt that the
+      displaced path needs.
+    - During demanded hovers, the velocity is changed to zero.
+    - Shifts change tilt, speed and rotor speeds.
 
-    If the mission requires a constant heading, yaw angle and yaw rate are changed, too, so that the
-    heading of the path is constant. The heading of the coarse solution is constant at its
-    collocation points only.
+    If the mission requires a constant heading, yaw angle and yaw rate are changed, too. In the
+    coarse solution, the heading has the required value at the collocation points only; after the
+    change, it is constant.
 
     Parameters
     ----------
@@ -312,8 +314,8 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
 def _split(mesh: Mesh, duration: float) -> Mesh:
     """Return a mesh in which each element longer than `_LONGEST_S` [s] is split into equal parts.
 
-    The regulator that follows a coarse solution corrects the controls once in each element.
-    `duration` is the duration of the flight [s], which the mesh covers.
+    The regulator corrects the controls once in each element, so that short elements give closer
+    control. `duration` is the duration of the flight [s], which the mesh covers.
     """
     return mesh.with_breakpoints(
         first + (last - first) * part / count
@@ -396,16 +398,15 @@ def _regulator(
 def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) -> FloatArray:
     """Return the disturbance of the states in each mesh element, from an earlier flight.
 
-    The linearised equations predict the deviation from the path at the end of an element. The
-    prediction uses the deviation at the start of the element and the correction of the controls.
-    The disturbance is the actual deviation at the end minus the predicted deviation. The next
-    flight is assumed to have the same disturbance, so that its controls can anticipate the
-    disturbance. Implements docs/theory/tracking.md, eq. (6).
+    The disturbance of element k is d[k + 1] - (F d[k] + G c[k]), docs/theory/tracking.md, eq. (6).
+    Here d is the deviation from the path at the element boundaries and c the correction of the
+    controls. The bracket is the deviation that the linearised equations predict. The next flight is
+    assumed to have the same disturbance, so that its controls can anticipate it.
 
     Parameters
     ----------
     path : _Path
-        Path of the solution itself, not pushed out of zones.
+        Path of the solution itself, without pushes and shifts.
     regulator : _Regulator
         Regulator with the linearised equations.
     previous : Trajectories
@@ -460,9 +461,9 @@ def _followed(
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
     In each element, a constant correction is added to the controls of the path. The correction is
-    the feedback plus a command that is known in advance. The result is None instead of both arrays
-    if a state grows beyond any physical value (the constant `_LOST`). Implements
-    docs/theory/tracking.md, eq. (1).
+    the sum of the feedback and a command that is known in advance. The result is None if a state
+    grows beyond any physical value (the constant `_LOST`). Implements docs/theory/tracking.md, eq.
+    (1).
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
-"""Making of plans from solutions of the optimal control problem, and verification of the plans.
+"""Functions that make plans from solutions of the optimal control problem, and verify the plans.
 
 A solution consists of the variables of the discretised problem. A plan adds the scenario, the
-energy and a status. The verification simulates the controls of the plan without feedback.
+energy and a status. To verify a plan, its controls are simulated without feedback.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def plan_of(
     scenario : Scenario
         The scenario that was solved.
     solution : Solution
-        Result of the collocation engine, of any status.
+        Result of the collocation engine, converged or not.
     timings : dict
         Computing time so far [s] by phase, such as "build" and "compile".
     hover_energy : float
@@ -98,15 +98,15 @@ def plan_of(
 
 
 def horizon_of(scenario: Scenario) -> tuple[float, float] | None:
-    """Return start and end time of a scenario's flight [s]; None for a free end time."""
+    """Return start and end time of a scenario's flight [s], or None if the end time is free."""
     return None if scenario.mission.is_free else (0.0, scenario.mission.fixed_duration)
 
 
 def energy_of(scenario: Scenario, solution: Solution) -> float:
-    """Return the energy of a solution [J], which may differ from the objective of the solve.
+    """Return the energy of the flight in a solution [J], without other terms of the objective.
 
-    The objective may contain further terms: the product of the duration and a price of time, and
-    the energy lost inside the battery.
+    Other possible terms are the price of time, multiplied by the duration, and the energy lost
+    inside the battery.
     """
     if not scenario.mission.is_free and scenario.mission.aim is Aim.ENERGY:
         return solution.objective
@@ -121,15 +121,15 @@ def verified(
     *,
     is_rough: bool = False,
 ) -> Plan:
-    """Return a plan with the result of its verification, by simulation of its controls.
+    """Verify a plan by simulation of its controls, and return it with the result.
 
-    With the controls of a solution on a coarse mesh, the vehicle would miss the goal. The controls
-    are therefore first corrected by feedback, except at the highest accuracy level, `proof` (see
-    `flight.tracking`).
+    A solution on a coarse mesh is inexact: with its controls, the vehicle would miss the goal. The
+    controls are therefore corrected by feedback before the simulation (see `flight.tracking`). At
+    the highest accuracy level, `proof`, the mesh is fine, and the controls are not corrected.
 
     If the flight with corrected controls breaks limits, the corrections are computed again. The new
-    corrections anticipate the deviations of the previous flight. The path that the vehicle follows
-    is displaced out of the zones that the previous flight entered (see `flight.displacement`).
+    corrections anticipate the deviations of the previous flight. If that flight entered keep-out
+    zones, the path to be followed is displaced out of these zones (see `flight.displacement`).
 
     Parameters
     ----------
@@ -138,14 +138,14 @@ def verified(
     solution : Solution
         The solution from which the plan was made.
     accuracy : Accuracy, optional
-        Accuracy to confirm; by default the scenario's accuracy.
+        The required accuracy; by default the scenario's accuracy.
     least_energy : float, optional
         Least energy of the mission [J], with which the plan's energy is compared; by default the
-        energy of the solution. If the solution has stricter limits than the mission, its energy is
-        not the least energy of the mission, and this argument is needed.
+        energy of `plan`. The argument is needed if the solution has stricter limits than the
+        mission: its energy is then larger than the least energy of the mission.
     is_rough : bool, optional
-        Whether a usable plan is enough. A usable plan is a plan that simulation confirms at lower
-        accuracy than requested.
+        Whether a usable plan is enough: a plan that the simulation confirms at a lower accuracy
+        than the required one.
 
     Returns
     -------
@@ -187,23 +187,24 @@ def verified(
 def _corrected(
     plan: Plan, accuracy: Accuracy, wanted: FloatArray, least_energy: float, *, is_rough: bool
 ) -> tuple[Plan, Verification, Flown]:
-    """Correct a plan's controls by feedback until its flight keeps all limits, and simulate it.
+    """Correct a plan's controls by feedback, and simulate the corrected controls.
 
     The corrected controls are those of a simulated flight that follows the planned path under
-    feedback. If this flight breaks limits, further flights under feedback are simulated. Each
-    further flight anticipates the deviations of the previous flight.
+    feedback. If this flight breaks limits, it is repeated a few times. Each repetition anticipates
+    the deviations of the previous flight, and follows a changed path:
 
-    Further flights follow a changed path. The path is displaced out of the zones that earlier
-    flights entered. It is shifted away from the limits on tilt, speed and rotor speeds that earlier
-    flights exceeded. If an earlier flight moved during a hover at a waypoint, the changed path is
-    at rest during all hovers.
+    - The path is displaced out of the zones that earlier flights entered.
+    - The path is shifted away from the limits on tilt, speed and rotor speeds that earlier flights
+      exceeded.
+    - If an earlier flight moved during a hover at a waypoint, the path is at rest during all
+      hovers.
 
     Parameters
     ----------
     plan : Plan
         Plan of a solution on a coarse mesh.
     accuracy : Accuracy
-        Accuracy to confirm.
+        The required accuracy.
     wanted : ndarray, shape (n_states,)
         Final states that the flight should reach.
     least_energy : float
@@ -216,9 +217,9 @@ def _corrected(
     Plan
         Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
     Verification
-        Comparison of a flight with limits and final states. This flight is a simulation of the
-        corrected controls without feedback. There is one exception: if no flight under feedback
-        meets even the tolerances of a usable plan, the last flight under feedback is compared.
+        Comparison of a flight with limits and final states. Usually, the flight is a simulation of
+        the corrected controls without feedback. If every flight under feedback exceeds even the
+        tolerances of a usable plan, the last flight under feedback is compared instead.
     Flown
         Samples of the flight that was compared.
     """
@@ -252,19 +253,20 @@ def _corrected(
 
 
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
-    """Return the demands on the next simulated flight, after a flight that broke limits.
+    """Return the path changes for the next simulated flight, after a flight that broke limits.
 
-    Demands are changes of the path that the vehicle follows under feedback. The new demands push
-    the path out of the zones that the flight entered. They shift the path away from the limits on
-    tilt, speed and rotor speeds that the flight exceeded. If the flight moved during a hover, the
-    new demands also require rest during all hovers.
+    The vehicle follows the path under feedback. The new changes are:
+
+    - displacements out of the zones that the flight entered,
+    - shifts away from the limits on tilt, speed and rotor speeds that the flight exceeded,
+    - rest during all hovers, if the flight moved during a hover.
 
     Parameters
     ----------
     plan : Plan
         Plan whose path is changed.
     demands : Demands
-        Demands on the flight that broke limits. The result includes them.
+        Path changes of the flight that broke limits. The result includes them.
     path : Flown
         Samples of the flight that broke limits.
     allowed : float
@@ -285,9 +287,9 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
     """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
 
-    The final states are those of `wanted`, except for states that measure consumption, such as the
-    charge drawn from the battery. The mission does not prescribe a final consumption. Its value is
-    taken from `plan`.
+    States that measure consumption, such as the charge drawn from the battery, get their final
+    values from `plan`, because the mission does not prescribe them. All other states get their
+    values from `wanted`.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])
@@ -295,11 +297,12 @@ def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
-    """Return the message of a simulated plan: why it does not reach the required accuracy.
+    """Return a message: the reason why a simulated plan does not reach the required accuracy.
 
-    One possible reason is a limit that the simulated flight violates. Another is an energy that may
-    exceed the optimum by more than the accuracy allows. Without such a reason, or at the highest
-    accuracy level, `proof`, the result is the message of the plan's solve.
+    The reason is either a limit that the simulated flight violates, or an energy that may exceed
+    the optimum by more than the accuracy allows. If neither applies, the result is the message of
+    the plan's solve. At the highest accuracy level, `proof`, the result is always the message of
+    the solve.
 
     Parameters
     ----------
@@ -328,7 +331,7 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
     plan : Plan
         The plan.
     accuracy : Accuracy
-        Accuracy to confirm.
+        The required accuracy.
     wanted : ndarray, shape (n_states,)
         Final states that the flight should reach.
 
@@ -365,11 +368,11 @@ def _followed(
     demands: Demands,
     previous: Trajectories | None,
 ) -> Plan:
-    """Return a plan whose controls are corrected by feedback, so that the vehicle keeps its path.
+    """Return a plan with controls corrected by feedback, so that the vehicle keeps to its path.
 
     The corrected plan has the states, controls and energy of a simulated flight under feedback (see
-    `flight.tracking`). Its error estimate is the larger of two numbers: the error estimate of
-    `plan`, and the relative difference between its energy and the least energy; see
+    `flight.tracking`). Its error estimate is max(e, |E - E_least| / E_least), with the error
+    estimate e of `plan`, the energy E of the corrected plan and the least energy E_least; see
     docs/theory/tracking.md, eq. (5).
 
     Parameters
@@ -377,7 +380,7 @@ def _followed(
     plan : Plan
         Plan before the correction.
     least_energy : float
-        Energy of the optimum [J].
+        Least energy of the mission [J].
     demands : Demands
         Changes of the path that the vehicle follows, relative to the path of `plan`.
     previous : Trajectories or None
@@ -403,17 +406,17 @@ def _followed(
 
 
 def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
-    """Compare the planned path itself with goal, limits and battery, without a simulation.
+    """Compare the planned states with goal, limits and battery, without a simulation.
 
-    `accuracy` sets the tolerances, and `wanted` has the final states that the path should reach,
-    shape (n_states,). The result is the comparison, and samples of the path.
+    `accuracy` sets the tolerances, and `wanted` has the final states to be reached, shape
+    (n_states,). The function returns the comparison and samples of the planned path.
     """
     path = path_of(plan, accuracy)
     return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path
 
 
 def path_of(plan: Plan, accuracy: Accuracy) -> Flown:
-    """Return samples of the planned path, as if the vehicle flew the path exactly.
+    """Return samples of a flight that follows the planned path exactly.
 
     The samples serve to check limits without a simulation. `accuracy` sets the distance between
     samples near zones.

@@ -148,8 +148,9 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    Parameters of the equations may jump at the start of the element. Up to the time `inside`, the
-    equations are therefore evaluated with the parameters at `inside`.
+    A parameter of the equations may jump at the start of the element, for example when a payload is
+    released. For times before `inside`, the equations therefore have the parameter values at
+    `inside`, just after the jump.
 
     Parameters
     ----------
@@ -202,13 +203,13 @@ class Verification:
     terminal_miss_m : float
         Distance between the simulated and the planned final position [m].
     worst_miss : str
-        State whose final value deviates most from the plan, relative to the larger of 1 and the
-        value of the state.
+        Name of the state whose final value deviates most from the plan. The deviation is relative
+        to max(1, |planned value|).
     max_violation, worst_constraint : float, str
         Largest violation of a limit along the flight, and the name of the violated limit. The
-        violation is relative to the larger of 1 and the limit.
+        violation is relative to max(1, |limit|).
     breaches : tuple of Violation
-        The largest violation of each limit along the flight.
+        Largest violation of each limit along the flight; 0 for a limit that is kept.
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
@@ -216,20 +217,20 @@ class Verification:
     passing_misses_m : tuple of float
         For each waypoint, the distance by which the flight passes outside its radius [m].
     battery_imbalance : float
-        Largest fraction of the required power, or of the required charge, that the battery cannot
-        give.
+        Largest fraction of the required power or charge that the battery cannot supply.
     voltage_lacking : float
-        Largest fraction of a motor's voltage that the battery cannot give; negative if the battery
-        gives more than needed.
+        Largest fraction of a motor's voltage that the battery cannot supply; negative if the
+        battery always supplies more than needed.
     is_verified : bool
         Whether all deviations and shortfalls are within the tolerances of the required accuracy.
     is_usable : bool
         Whether all deviations and shortfalls are within the tolerances of a usable plan
-        (`scenario.accuracy.USABLE`). These are the tolerances of the lowest accuracy, but wider for
-        the final states.
+        (`scenario.accuracy.USABLE`). These equal the tolerances of the lowest accuracy, with a
+        wider tolerance for the final states.
     reached : Accuracy or None
-        The highest accuracy level whose tolerances all deviations and shortfalls meet. Levels above
-        the required accuracy are not considered. None if no level is met.
+        The highest accuracy level that the flight reaches, up to the required accuracy. A level is
+        reached if all deviations and shortfalls are within its tolerances. None if no level is
+        reached.
     """
 
     terminal_miss: Mapping[str, float]
@@ -276,8 +277,8 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     The result is negative if the battery always supplies more than needed. It is 0 for a model
     without motor or battery voltage. `flown` has the samples of the flight.
 
-    The motor's voltage is evaluated at constant rotor speed. The additional voltage for a change of
-    speed is left out, because the limit on the rotors' acceleration accounts for it.
+    The motor's voltage is that for a constant rotor speed. An accelerating rotor needs more
+    voltage; the model's limit on the rotor acceleration accounts for this.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -290,10 +291,9 @@ def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
 
 
 def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
-    """Return a message if a flight leaves the wind field of its plan; empty otherwise.
+    """Return a message if a flight leaves the wind field of its plan, otherwise an empty text.
 
-    A wind field (wind as a function of place and time) is known in a limited region and period
-    only.
+    A wind field gives the wind as a function of place and time, in a limited region and period.
 
     Parameters
     ----------
@@ -311,18 +311,18 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 
 
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
-    """Return the largest fractions of power and of charge in a flight that the battery lacks.
+    """Return the largest fractions of power and charge that the battery cannot supply in a flight.
 
-    The model's equations give finite values even beyond the battery's greatest power, or with an
-    empty battery. A real vehicle cannot fly in these conditions. `flown` has the samples of the
-    flight.
+    A simulated flight may exceed the battery's greatest power or its charge, because the equations
+    of the model have finite values even then. This function measures the excess. `flown` has the
+    samples of the flight.
 
     Returns
     -------
     (float, float)
-        Largest fraction of the required power that the battery cannot give, and charge drawn from
-        an empty battery as a fraction of its capacity (negative while charge remains). Both are
-        zero for a model without a battery.
+        First, the largest fraction of the required power that the battery cannot supply. Second,
+        the charge drawn beyond an empty battery, as a fraction of the capacity; negative if charge
+        remains. Both are zero for a model without a battery.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -332,14 +332,14 @@ def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
 def has_balance(dynamics: Dynamics) -> bool:
     """Return whether the model has a battery whose power balance can be checked.
 
-    The balance is between the power drawn and the product of the battery's voltage and current.
+    The power balance states that the power drawn equals voltage times current of the battery.
     `dynamics` has the equations of the model.
     """
     return all(dynamics.has(name) for name in _BALANCE)
 
 
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
-    """Return the largest fractions of power and of charge that the battery lacks in a flight.
+    """Return the largest fractions of power and charge that the battery cannot supply in a flight.
 
     Parameters
     ----------
@@ -350,8 +350,8 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
     Returns
     -------
     (float, float)
-        Largest fraction of the power that the battery cannot give, and charge drawn from an empty
-        battery as a fraction of its capacity (negative while charge remains).
+        First, the largest fraction of the power that the battery cannot supply. Second, the charge
+        drawn beyond an empty battery, as a fraction of the capacity; negative if charge remains.
     """
     power, voltage, current, charge = balance.T
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
@@ -381,9 +381,8 @@ def samples_of_path(
     """Return where to sample a simulated flight in each mesh element, to check limits on position.
 
     The samples are dense where the path between two nodes may reach a zone or a limit on the height
-    above terrain. Near a zone, samples are at most `spacing` [m] apart. Near a height limit, their
-    distance is a small fraction of a cell of the terrain grid, because the limit is one polynomial
-    surface in each cell.
+    above terrain. Near a zone, samples are at most `spacing` [m] apart. Near a height limit, they
+    are at most a small fraction of a terrain grid step apart.
 
     Parameters
     ----------
@@ -453,8 +452,8 @@ class Passage:
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
     """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0.
 
-    `dynamics` are the equations of the vehicle, which name the states. `flown` has the samples of
-    the flight, and `passage` the waypoint with its passing time.
+    `dynamics` has the names of the states, `flown` the samples of the flight, and `passage` the
+    waypoint with its passing time.
     """
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
@@ -491,12 +490,12 @@ def verify_controls(
     energy : float
         Planned energy [J].
     airspace : Airspace, optional
-        Airspace; near its zones and its terrain, the flight is sampled densely.
+        Zones and terrain. Near these, the flight is sampled densely.
     passages : sequence of Passage, optional
         Waypoints that the flight must pass, with their times.
     accuracy : Accuracy, optional
-        The required accuracy, which sets the tolerances of the verification and of the simulation,
-        and the sampling of the flight.
+        The required accuracy. It sets the tolerances of the verification, the tolerances of the
+        integrator, and the distance between samples near zones.
     goal : ndarray, shape (n_states,), optional
         Final states that the flight should reach; by default the last planned states.
 
@@ -605,13 +604,13 @@ _HEADING = "mission.yaw_keeping"
 def is_of_airspace(breach: Violation) -> bool:
     """Return whether a violated limit belongs to the airspace: a zone, the fence, floor or ceiling.
 
-    `breach` is the violation. Violations of the airspace are in m.
+    `breach` is the violation. The unit of these violations is m.
     """
     return breach.name.startswith("airspace.")
 
 
 def tolerated(breach: Violation, figures: Figures) -> float:
-    """Return the largest violation of a limit that is tolerated, in the limit's unit.
+    """Return the tolerance for violations of a limit, in the limit's unit.
 
     `breach` is a violation of the limit, and `figures` has the tolerances of an accuracy level.
     """
@@ -637,13 +636,13 @@ class _Found:
     Attributes
     ----------
     miss : float
-        Largest miss at the goal or at a waypoint. At the goal, it is the deviation of a final state
-        from the plan, relative to the larger of 1 and the planned value. At a waypoint, it is the
+        Largest miss at the goal or at a waypoint. A miss at the goal is the deviation of a final
+        state from the plan, divided by max(1, |planned value|). A miss at a waypoint is the
         distance by which the flight passes outside the waypoint's radius [m].
     breaches : tuple of Violation
         Violations of limits.
     energy : float
-        Deviation of the energy, relative to the larger of 1 J and the planned energy.
+        Deviation of the energy from the plan, divided by max(1 J, planned energy).
     lacking : float
         Largest of the fractions of power, charge and motor voltage that the battery cannot supply.
     """
@@ -654,9 +653,10 @@ class _Found:
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy level whose tolerances all errors of the flight meet.
+        """Return the highest accuracy level, up to `asked`, that the flight reaches.
 
-        Levels above `asked` are not considered. The result is None if the flight meets no level.
+        A level is reached if all errors are within its tolerances. The result is None if the flight
+        reaches no level.
         """
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None

@@ -1,7 +1,7 @@
 """Equations of the vehicle in the wind of simulated flights, with turbulence and random errors.
 
-The wind, the mass and the hover power are known only approximately before a flight. The errors are
-independent normal random numbers with standard deviations that the scenario states.
+The wind, the mass and the hover power are known only approximately before a flight. Their errors
+are independent normal random numbers. The scenario gives the standard deviations.
 """
 
 from math import cos, hypot, sin
@@ -37,8 +37,8 @@ def vehicle_flown(planner: Planner, scenario: Scenario) -> Dynamics:
     Returns
     -------
     Dynamics
-        Equations that include the states of the filters which model turbulence; without turbulence,
-        the planner's own equations.
+        With turbulence, equations that include the states of the turbulence filters. Without
+        turbulence, the planner's own equations.
     """
     if scenario.wind.turbulence is None:
         return planner.dynamics(scenario)
@@ -70,13 +70,12 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     Returns
     -------
     Dynamics
-        Equations of the vehicle, the same for all flights. Their parameters have no random errors.
-        With turbulence or uncertain quantities, their states include the states of the filters that
-        model turbulence.
+        Equations of the vehicle for all flights, with parameter values without random errors. With
+        turbulence or uncertain quantities, the states include those of the turbulence filters.
     Draws
-        For each flight, the parameter values with random errors, and the random input and initial
-        states of the turbulence filters (gusts). They depend on the seed and on the index of the
-        flight, but not on the number of flights or on the duration.
+        For each flight, the parameter values with random errors, and the noise and initial states
+        of the turbulence filters. They depend only on the seed and the index of the flight, so that
+        further flights or a longer duration leave them unchanged.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -116,8 +115,8 @@ _OF_ERRORS = 1
 def problem_in_turbulence(scenario: Scenario) -> Problem:
     """Return the compiled equations of a scenario with turbulence in its wind.
 
-    The equations have additional states: the states of the filters that model turbulence. The
-    equations are compiled once and then read from a cache.
+    The equations include the states of the turbulence filters. They are compiled once and then read
+    from a cache.
     """
     turbulence = scenario.wind.turbulence
     key = structure_key(scenario), guess_key(scenario), turbulence
@@ -128,10 +127,10 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 
 
 def as_expected(scenario: Scenario) -> Scenario:
-    """Return the scenario in the conditions that plans expect: the forecast wind, with turbulence.
+    """Return a copy of a scenario whose wind is the forecast wind, with turbulence.
 
-    `scenario` has an actual wind and a forecast of the wind. The result has the forecast as its
-    wind, with the turbulence of the actual wind.
+    Plans are made for the forecast wind. The turbulence of the copy is the turbulence of the actual
+    wind in `scenario`.
     """
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
@@ -139,10 +138,10 @@ def as_expected(scenario: Scenario) -> Scenario:
 
 
 def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return how one standard deviation of each uncertain quantity changes the model's parameters.
+    """Return the change of the model's parameters by one standard deviation of each uncertainty.
 
-    The uncertain quantities are speed and direction of the wind, mass, and hover power. Only
-    quantities with a standard deviation in the scenario are returned.
+    The uncertain quantities are speed and direction of the wind, mass, and hover power. A quantity
+    is left out if the scenario gives no standard deviation for it.
 
     Parameters
     ----------

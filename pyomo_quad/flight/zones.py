@@ -5,8 +5,8 @@ the route crosses a vertical plane across the leg. If the leg enters the zone, t
 through the middle of the part of the leg inside the zone. If the leg stays outside, the plane goes
 through the point of the leg nearest to the zone.
 
-The plane always cuts the zone, and separates the start of the leg from its goal. A plane through
-the centre of the zone is not used, because it may lie before the start or beyond the goal.
+This plane separates the start of the leg from its goal. A plane through the centre of the zone
+would not always do so: it may lie before the start or beyond the goal.
 """
 
 from collections.abc import Sequence
@@ -60,7 +60,7 @@ def zones_hit(zones: Sequence[KeepOut], places: FloatArray, clearance: float) ->
     Returns
     -------
     list of KeepOut
-        Each zone that the path enters when the zone is enlarged by the clearance.
+        The zones to which the path comes closer than the clearance.
     """
     return [
         zone
@@ -101,9 +101,9 @@ def _spans_inside(
     Returns
     -------
     entries, exits : ndarray, shape (n,)
-        Fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
-        the lines are extended beyond both ends. If a line misses the zone, its exit is smaller than
-        its entry.
+        Fractions of each line, 0 at its start and 1 at its end. The lines are extended beyond both
+        ends, so that fractions below 0 and above 1 occur. If a line misses the zone, its exit is
+        smaller than its entry.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -117,8 +117,8 @@ def _span_inside(
 ) -> tuple[FloatArray, FloatArray]:
     """Return where n straight lines enter and leave a ball enlarged by a clearance.
 
-    A zone is the intersection of its balls. A ball limits one coordinate (an interval), two
-    coordinates (a disc) or three (a sphere).
+    A ball is an interval of one coordinate, a disc in two coordinates or a sphere in three. A zone
+    is the intersection of its balls.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ def _span_inside(
     Returns
     -------
     entries, exits : ndarray, shape (n,)
-        Fractions of each line, 0 at its start and 1 at its end. They may be outside 0 to 1, because
-        the lines are extended beyond both ends. If a line misses the ball, its entry is 1 and its
-        exit is 0.
+        Fractions of each line, 0 at its start and 1 at its end. The lines are extended beyond both
+        ends, so that fractions below 0 and above 1 occur. If a line misses the ball, its entry is 1
+        and its exit is 0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
@@ -158,9 +158,8 @@ def sides_passed(
 
     The lines are pieces of routes for a leg (line between two waypoints). The side is determined at
     the point where a line crosses a vertical plane. The plane is perpendicular to the horizontal
-    direction of the leg. If the leg enters the zone enlarged by its clearance, the plane goes
-    through the middle of the part inside. If the leg stays outside, the plane goes through the
-    point of the leg nearest to the zone.
+    direction of the leg. The docstring of this module says through which point of the leg the plane
+    goes; here, the zone is enlarged by its clearance.
 
     Parameters
     ----------
@@ -176,8 +175,8 @@ def sides_passed(
     Returns
     -------
     ndarray of int, shape (n,)
-        For each line, the index of its side among the members of the enumeration `Side`; -1 for a
-        line that does not cross the plane. All are -1 if the plane goes through an end of the leg.
+        For each line, the index of its side in the enumeration `Side`, or -1 if the line does not
+        cross the plane. All items are -1 if the plane goes through an end of the leg.
     """
     section = _section(zone, ends, clearance)
     if section is None:
@@ -195,9 +194,9 @@ def sides_passed(
 class _Section(NamedTuple):
     """Cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    A leg is the line between two waypoints. The cross-section is given by its middle, half its
-    width and half its height, and by three unit vectors: along the leg, to the left of the leg, and
-    up. The cross-section serves to decide on which side a route passes the zone.
+    The cross-section serves to decide on which side a route passes the zone. It is given by its
+    middle, half its width and half its height, and by three unit vectors: along the leg, to the
+    left of the leg, and up. A leg is the line between two waypoints.
     """
 
     middle: FloatArray
@@ -215,9 +214,9 @@ class _Section(NamedTuple):
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
     """Return the cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    A leg is the line between two waypoints. If the leg enters the zone enlarged by its clearance,
-    the plane goes through the middle of the part inside. If the leg stays outside, the plane goes
-    through the point of the leg nearest to the zone.
+    The zone is enlarged by its clearance. If the leg enters the enlarged zone, the plane goes
+    through the middle of the part inside. If the leg stays outside, the plane goes through the
+    point of the leg nearest to the zone.
 
     Parameters
     ----------
@@ -248,10 +247,10 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return the place at which a leg passes a keep-out zone, and the clearance used [m].
 
-    A leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The place is a fraction of
-    the leg: the middle of the part that is nearer to the zone than `clearance` [m]. If the whole
-    leg is farther away, a larger clearance is used, with which the enlarged zone just reaches the
-    leg.
+    The leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The place is given as a
+    fraction of the leg. Usually, it is the middle of the part of the leg that is closer to the zone
+    than `clearance` [m]. If no part is that close, the clearance is increased until the enlarged
+    zone touches the leg. The place is then the point of contact.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -273,7 +272,7 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 def _chord(
     zone: KeepOut, place: FloatArray, direction: FloatArray, reach: float
 ) -> tuple[FloatArray, float]:
-    """Return the middle, shape (3,), and half the length of the part of a line inside a zone [m].
+    """Return the midpoint, shape (3,), and half the length [m] of a line's part inside a zone.
 
     The line passes through `place` in the direction of the unit vector `direction`. The zone is
     enlarged by the clearance `reach` [m].
@@ -285,12 +284,11 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg (line between two waypoints), to its left and up.
 
-    Each vector has shape (3,). The first vector is the horizontal direction of the leg, even if the
-    leg is steep. Only for a vertical leg is the first vector vertical. `ends` has start and end of
-    the leg, shape (2, 3) [m].
+    Each vector has shape (3,). The first vector is the horizontal direction of the leg; for a
+    vertical leg, it points up. `ends` has start and end of the leg, shape (2, 3) [m].
 
     The vectors serve to name the side on which a route passes a zone. Because the first vector is
-    horizontal, a steep route beside a tall zone passes the zone on the left or right.
+    horizontal, a route beside a tall zone passes it on the left or right, even if the leg is steep.
     """
     upward = np.array([0.0, 0.0, 1.0])
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
@@ -304,7 +302,7 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
     """Return points on the outline of a polygonal zone enlarged by ``reach`` [m], shape (m, 2) [m].
 
-    They are the corners of the outline and, on each edge, the points nearest to the places
+    The points are the corners of the outline and, on each edge, the point nearest to each place of
     ``near``, shape (n, 3) [m].
     """
     ring = zone.ring(reach)

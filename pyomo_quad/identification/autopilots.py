@@ -43,12 +43,12 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 @contextmanager
 def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
-    """Context manager: turn failures of another package's log reader into a one-line ScenarioError.
+    """Context manager that turns errors of another package's log reader into a ScenarioError.
 
-    Readers such as `pyulog` raise exceptions of many types for damaged logs. They also print
-    errors; the printed text is suppressed. Errors of the file system and a lack of memory are not
-    converted. `autopilot` is the name of the autopilot, and `package` the name of the reader's
-    package, for the messages.
+    Readers such as `pyulog` raise exceptions of many types for damaged logs. The message of the
+    ScenarioError is one line. Text that the reader prints is suppressed. Errors of the file system
+    and a lack of memory are passed on unchanged. `autopilot` is the name of the autopilot, and
+    `package` the name of the reader's package, for the messages.
     """
     try:
         with redirect_stdout(StringIO()):
@@ -130,8 +130,8 @@ def read_ulog(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the package `pyulog` is missing, or the log is damaged. Also if the log lacks a required
-        topic (table of the log) or a required field (column of a topic).
+        If the package `pyulog` is missing, if the log is damaged, or if it lacks a required topic
+        (table of the log) or field (column of a topic).
     """
     with _reader_errors("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
@@ -150,7 +150,7 @@ def read_ulog(file: Path) -> pd.DataFrame:
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
     """Return the values of one field in a PX4 log, in the order of time.
 
-    A log consists of topics: tables with one column for each field.
+    A log consists of tables, called topics. Each column of a topic is a field.
 
     Parameters
     ----------
@@ -222,8 +222,8 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the package `pymavlink` is missing, or the log is damaged. Also if the log has no
-        messages of a required kind.
+        If the package `pymavlink` is missing, if the log is damaged, or if it lacks a required kind
+        of message.
     """
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read
@@ -243,7 +243,7 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 
 
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
-    """Return the rows of an ArduPilot message that the first sensor or filter has written.
+    """Return the rows of an ArduPilot message table that the first sensor or filter has written.
 
     Several sensors, or several instances of the Kalman filter, may write the same kind of message.
     Each of them has a number. Only the rows with the least number are returned.
@@ -299,10 +299,10 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 
 
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
-    """Return whether the land detector of an ArduPilot log reports flight at each time.
+    """Return whether the vehicle flies at each time, by the land detector of an ArduPilot log.
 
-    `events` is the log's table of events. `times` are times in microseconds, the unit of the table.
-    The result is True throughout if the log has no events of the detector.
+    `events` is the log's table of events. `times` are times in microseconds, as in this table. If
+    the log has no events of the land detector, the result is True at all times.
     """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)

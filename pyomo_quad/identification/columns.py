@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 
 class LogColumn(NamedTuple):
-    """Column of a log: its unit, its meaning, and other names that are accepted for the column."""
+    """Column of a log: its unit, its meaning, and alternative names that a log may use."""
 
     unit: str
     meaning: str
@@ -38,7 +38,8 @@ CRUISE = 2
 def wanted_columns(columns: Mapping[str, LogColumn] = COLUMNS) -> str:
     """List the columns of a table with their units in one line, for messages and help.
 
-    `columns` has the properties of each column by its name; by default the columns of a log.
+    `columns` has unit and meaning of each column, by the column's name. By default, these are the
+    columns of a flight log.
     """
     told = (f"{name} ({column.unit})" if column.unit else name for name, column in columns.items())
     return f"the columns are {', '.join(told)}"

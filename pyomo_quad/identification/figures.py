@@ -87,9 +87,9 @@ def identification_drawings(
 
 
 def draw_energies(found: Identification) -> Figure:
-    """Draw computed against measured energy of each flight, and the relative errors.
+    """Draw the computed over the measured energy of each flight, and the relative errors.
 
-    Each flight's energy is computed by a fit without this flight.
+    Each flight's energy is computed with a model that was fitted to other flights.
 
     Parameters
     ----------
@@ -126,7 +126,8 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
     Returns
     -------
     list
-        Names of three flights, from slow to fast; of all flights if there are fewer than three.
+        Names of three flights, from slow to fast. If there are fewer than three, names of all
+        flights.
     """
     speeds = pd.Series(cruise_speeds(frame), index=frame[FLIGHT].to_numpy())
     each = speeds.groupby(level=0, sort=False).first().sort_values(kind="stable")
@@ -137,8 +138,8 @@ def shown_flights(frame: pd.DataFrame) -> list[object]:
 def draw_power(found: Identification) -> Figure:
     """Draw the measured and the computed power of three flights over time.
 
-    The flights are a slow, an average and a fast one. The power of each is computed by a fit to
-    other flights only.
+    The flights are a slow, an average and a fast one. Each flight's power is computed with a model
+    that was fitted to other flights.
 
     Parameters
     ----------
@@ -171,7 +172,7 @@ def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
 
     The left panel shows the voltage of a slow, an average and a fast flight over time. The right
     panel shows the root mean square error of each flight's voltage. Its horizontal axis is the
-    resistance of the flight's battery pack, relative to the resistance of the median pack.
+    ratio of the resistance of the flight's battery pack to the resistance of the median pack.
 
     Parameters
     ----------
@@ -211,8 +212,8 @@ def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
 def draw_curve(found: Identification) -> Figure:
     """Draw the power of steady level flight over airspeed for each payload, with measurements.
 
-    The curves are computed by the fitted model, in the mean air density of the flights. Dots are
-    mean measured powers in cruise at each airspeed.
+    The curves are computed with the fitted model, at the mean air density of the flights. Each dot
+    is the mean measured power of cruise at one airspeed.
 
     Parameters
     ----------

@@ -2,10 +2,10 @@
 
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-The residual is the mean measured power minus the mean computed power, over time windows of some
-seconds. Single rows of a log, each one second long, are too short. Noise dominates their airspeed
-and acceleration, so that a fit to them would give a power curve that is too flat. Large residuals,
-from gusts or ground effect, count linearly instead of quadratically.
+A residual is the mean measured power minus the mean computed power in a time window of some
+seconds. Averages are needed because noise dominates airspeed and acceleration in a single row of a
+log, which is one second long. A fit to single rows would give a power curve that is too flat. Large
+residuals, from gusts or ground effect, count linearly instead of quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -79,10 +79,9 @@ class FittedParameter:
         Value before the fit, fitted value, and standard deviation of the fitted value, in the
         field's unit.
     is_determined : bool
-        Whether the measurements determine the field. If not, the field keeps its value before the
-        fit.
+        Whether the measurements determine the field. Otherwise, `value` equals `base`.
     is_at_bound : bool
-        Whether the fitted value lies at the end of its permitted range.
+        Whether the fitted value lies at an end of its permitted range.
     """
 
     name: str
@@ -102,19 +101,19 @@ class IdentifiedParameter:
     name : str
         Name of the field.
     base, base_source : float, str
-        Value before the fit, in the field's unit, and the source of this value. The value may come
-        from an earlier fit to the same flights.
+        Value before the fit, in the field's unit, and the source of this value in words. The source
+        may be an earlier fit to the same flights.
     value : float
         Fitted value.
     first_half, second_half : float
-        Values fitted to the first half and to the second half of the flights. The halves have no
-        flight in common, so that the two values are independent.
+        Values fitted to one half of the flights and to the other half. No flight is in both halves,
+        so that the two values are independent.
     deviation : float
-        Standard deviation by bootstrap over the flights; 0 if the field keeps its value.
+        Standard deviation by bootstrap over the flights; 0 for a field that is not determined.
     is_determined : bool
-        Whether the flights determine the field. If not, the field keeps its value before the fit.
+        Whether the flights determine the field. Otherwise, `value` equals `base`.
     is_at_bound : bool
-        Whether the fitted value lies at the end of its permitted range.
+        Whether the fitted value lies at an end of its permitted range.
     """
 
     name: str
@@ -148,11 +147,12 @@ class Identification:
     cross_validated : ndarray, shape (n_rows,)
         Computed power of each row by a fit without the row's flight [W].
     trials : tuple of Trial
-        Errors of extrapolations. An example is the energy of fast flights, computed with a fit to
+        Errors of extrapolations, such as the error in the energy of fast flights after a fit to
         slow flights.
     together : tuple of (str, str)
-        Name of each parameter that the flights do not determine, and name of the parameter with the
-        most similar effect on the power ("" if no other parameter has a similar effect).
+        One pair of names for each parameter that the flights do not determine: its own name, and
+        the name of the parameter with the most similar effect on the power. The second name is ""
+        if no effect is similar.
     cautions : tuple of str
         Warnings that the rows are too few or too far apart in time.
     """
@@ -207,8 +207,8 @@ class Fit:
         Scenario with the vehicle before the fit. It gives the initial values of the fitted fields,
         and the values of all other fields.
     names : sequence of str
-        The n fields to fit, chosen from `FITTABLE`, the list of fields that can be fitted. They are
-        the parameters of the least-squares problem.
+        The n fields to fit, which are the parameters of the least-squares problem. `FITTABLE` lists
+        the fields that can be chosen.
     """
 
     def __init__(self, motion: LoggedMotion, scenario: Scenario, names: Sequence[str]) -> None:
@@ -244,8 +244,8 @@ class Fit:
     def windows(self, power: FloatArray, rows: Rows) -> tuple[FloatArray, NDArray[np.int64]]:
         """Average a measured or computed power over time windows of some seconds.
 
-        The residuals of the fit are differences of such averages. Only windows that contain at
-        least one of the chosen rows of the log are returned.
+        The residuals of the fit are differences between measured and computed averages. A window is
+        returned if it contains at least one of the chosen rows of the log.
 
         Parameters
         ----------
@@ -318,10 +318,10 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
-        Each draw chooses flights at random, with replacement, as many as the log has. The
-        parameters are fitted to the chosen flights by robust least squares. In these fits, the
-        computed power is linearised in the parameters about `values`. The linearisation is exact
-        for parameters that enter the power linearly.
+        If the log has n_flights flights, each draw chooses n_flights of them at random, with
+        replacement. The parameters are fitted to the chosen flights by robust least squares. To
+        save time, the computed power is linearised in the parameters about `values`. For parameters
+        in which the power is linear, this is exact.
 
         Parameters
         ----------
@@ -354,7 +354,7 @@ class Fit:
     def applied(self, values: FloatArray) -> Scenario:
         """Return a copy of the scenario in which the vehicle's fitted fields have given values.
 
-        `values` are the values of the fitted fields, shape (n,), in the order of `names`.
+        `values` are these values, shape (n,), in the order of `names`.
         """
         named = zip(self.names, values.tolist(), strict=True)
         return self._scenario.with_values({f"vehicle.{name}": value for name, value in named})
@@ -388,7 +388,7 @@ class Fit:
 
 
 def component(name: str) -> str:
-    """Return the full name of the model's parameter that a field of the vehicle sets.
+    """Return the full name of the model parameter that corresponds to a field of the vehicle.
 
     `name` is the field's name. Examples of full names are ``vehicle.drag_linear`` and
     ``power.climb_power_factor``.
@@ -414,8 +414,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the upper bound of a drag coefficient in the fit.
 
-    At the upper bound, the drag at the largest airspeed in the log equals the vehicle's weight. In
-    level flight at this airspeed, the vehicle is then tilted by 45°.
+    With this coefficient, the drag at the largest airspeed in the log equals the vehicle's weight:
+    the vehicle is tilted by 45° in level flight at this airspeed.
 
     Parameters
     ----------
@@ -460,12 +460,12 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A change of one parameter changes the computed power. Changes of the other parameters can
-    compensate a part of this change in power. The parameter is undetermined if almost no change in
-    power remains after the best compensation.
+    A change of one parameter changes the computed power. Changes of the other parameters can cancel
+    a part of this effect. The parameter is undetermined if they can cancel almost all of it.
 
-    Of all undetermined parameters, the one with the smallest remaining change in power is removed
-    first. The test is then repeated with the other parameters, until all of them are determined.
+    The parameter with the smallest remaining effect is tested first. If it is undetermined, it is
+    removed, and the test is repeated with the other parameters. The test ends when all parameters
+    that are left are determined.
 
     Parameters
     ----------
@@ -492,12 +492,11 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return a lower bound on the magnitude of each parameter, for the function `undetermined`.
+    """Return the least magnitude of each parameter that the function `undetermined` assumes.
 
-    The function `undetermined` changes each parameter by a fraction of the parameter's magnitude. A
-    parameter with the value 0 would not be changed at all. If the magnitude of a parameter is below
-    the bound, `undetermined` therefore uses the bound instead. The result has one bound for each
-    parameter, in the unit of the parameter.
+    To test a parameter, `undetermined` changes it by a fraction of max(|value|, least magnitude).
+    The least magnitude ensures that a parameter with the value 0 is changed, too. The result has
+    shape (n,) and the units of the parameters.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -505,8 +504,8 @@ def _size(fit: Fit) -> FloatArray:
 def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """Pair each undetermined parameter with the parameter that has the most similar effect.
 
-    The effect of a parameter is the change of the computed power with this parameter. A parameter
-    is undetermined if the measured flights do not determine its value.
+    The effect of a parameter is the derivative of the computed power with respect to the parameter.
+    A parameter is undetermined if the measured flights do not determine its value.
 
     Parameters
     ----------
@@ -518,8 +517,9 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
     Returns
     -------
     tuple of (str, str)
-        Name of each undetermined parameter, and name of the similar parameter. The second name is
-        "" if no parameter is similar, or if the undetermined parameter has no effect on the power.
+        One pair for each undetermined parameter: its own name, and the name of the parameter with
+        the most similar effect. The second name is "" if no effect is similar, or if the
+        undetermined parameter has no effect.
     """
     slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
@@ -546,12 +546,12 @@ def identify(
     frame : DataFrame
         Rows of at least two flights, from the function `logs.read_logs`.
     names : sequence of str, optional
-        Fields of the vehicle to fit, chosen from `FITTABLE`, the list of fields that can be fitted.
+        Fields of the vehicle to fit. `FITTABLE` lists the fields that can be chosen.
 
     Returns
     -------
     Identification
-        Fitted vehicle, uncertainties, and errors on flights that were not fitted.
+        Fitted vehicle, uncertainties, and errors on flights that were left out of the fit.
 
     Raises
     ------
@@ -590,8 +590,8 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    To test the time between the rows, the parameters are fitted again, to every second row only.
-    The rows are too far apart if the second fit changes a parameter by more than two standard
+    To test the time between the rows, the parameters are fitted once more, to every second row. The
+    rows are too far apart if a parameter differs between the two fits by more than two standard
     deviations and by more than 5 %.
 
     Parameters
@@ -603,8 +603,8 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
     values : ndarray, shape (n,)
         Parameters fitted to all flights.
     draws : ndarray, shape (n_draws, n)
-        Parameters fitted to random draws of the flights, one row for each draw. The standard
-        deviation of a column is the standard deviation of one parameter.
+        Parameters fitted to random draws of the flights, one row for each draw. The spread of a
+        column gives the standard deviation of a parameter.
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
@@ -653,10 +653,10 @@ def _parameters(
 
 
 def _base_source(scenario: Scenario, field: str) -> str:
-    """Return in words the source of the value that a field of the vehicle had before the fit.
+    """Return the source, in words, of the value that a vehicle's field had before the fit.
 
     `field` is the field's dotted path, such as ``vehicle.drag_linear``. For a vehicle of the
-    library, the words are those of the vehicle's file.
+    library, the words are quoted from the vehicle's file.
     """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):

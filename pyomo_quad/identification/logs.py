@@ -1,8 +1,8 @@
 """Reading of flight logs, with checks for damaged or implausible values.
 
 A log is a table (Parquet or CSV) with about one row per second, or the log file of an autopilot.
-The mapping `identification.columns.COLUMNS` lists the columns of a log; further columns are
-ignored. World axes are north, east and up.
+The mapping `identification.columns.COLUMNS` lists the columns that are read. World axes are north,
+east and up.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -70,7 +70,7 @@ _BATCH_ROWS = 65_536
 
 
 def read_logs(file: Path) -> pd.DataFrame:
-    """Read the rows of a flight log in which the vehicle flies.
+    """Read the rows of a flight log, without the rows on the ground.
 
     Parameters
     ----------
@@ -80,8 +80,8 @@ def read_logs(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each row of the log in flight. The columns are those that the mapping
-        `identification.columns.COLUMNS` lists, and voltage and current if the log has them.
+        The rows in flight. The columns are those of the mapping `identification.columns.COLUMNS`.
+        Voltage and current are added if the log has them.
 
     Raises
     ------
@@ -124,7 +124,7 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
     file : Path
         The log.
     flown : DataFrame
-        Rows of the log from `read_logs`. Only the flights that occur in these rows are read.
+        Rows of the log from `read_logs`, which select the flights to read.
 
     Returns
     -------
@@ -177,9 +177,9 @@ def _names(frames: Sequence[pd.DataFrame]) -> "pd.Series[Any]":
 def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
     """Remove flights that are copies of other flights.
 
-    Two flights are copies if their rows agree, with times counted from the first row of each
-    flight. Numbers are compared in single precision only, because a copy written in decimals may
-    lack the last digits.
+    Two flights are copies if their rows are equal, with times counted from the first row of each
+    flight. Numbers are compared in single precision, because a copy written as text may lack the
+    last digits.
 
     Parameters
     ----------
@@ -191,7 +191,7 @@ def once_each(frame: pd.DataFrame) -> tuple[pd.DataFrame, dict[str, str]]:
     DataFrame
         Rows without copies.
     dict
-        Name of the original, by the name of each removed copy.
+        Name of each removed copy -> name of its original.
     """
     numbers = frame[[name for name in COLUMNS if name not in _TEXTS]]
     first: dict[bytes, str] = {}
@@ -235,7 +235,7 @@ def _read(file: Path, source: str) -> pd.DataFrame:
 
 
 def _wanted(names: Iterable[str]) -> dict[str, str]:
-    """Find the columns of a log that are needed, under any of their accepted names.
+    """Find the needed columns of a log, which may have one of several accepted names.
 
     Parameters
     ----------
@@ -245,8 +245,8 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
     Returns
     -------
     dict
-        Name of each needed column in the log -> the package's own name of the column. The own names
-        are the keys of the mapping `identification.columns.COLUMNS`.
+        Name of each needed column in the log -> name of the column in the package. The package's
+        names are the keys of the mapping `identification.columns.COLUMNS`.
 
     Raises
     ------
@@ -313,8 +313,8 @@ def _is_number(kind: pa.DataType) -> bool:
 def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
     """Raise an error if a Parquet column has a type that is not permitted.
 
-    A column must hold numbers; with `is_text` it may also hold text. `name` is the column's name,
-    and `kind` its type.
+    Numbers are permitted, and also text if `is_text` is true. `name` is the column's name, and
+    `kind` its type.
     """
     held = kind.value_type if types.is_dictionary(kind) else kind
     is_string = types.is_string(held) or types.is_large_string(held)
@@ -356,7 +356,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield an error message for each fault of a log's rows, the most basic fault first.
+    """Yield an error message for each fault in the rows of a log, the most basic fault first.
 
     `frame` has the rows of all flights, with the columns that the mapping
     `identification.columns.COLUMNS` lists.
@@ -390,8 +390,8 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
     """Yield a message for each quantity that seems to be logged in thousandths of its unit.
 
-    An example is a power in milliwatts. The median of the quantity over a flight is then larger
-    than any plausible value in the expected unit. `frame` has the rows of all flights.
+    An example is a power in milliwatts. The test is whether the median over a flight exceeds every
+    plausible value in the expected unit. `frame` has the rows of all flights.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
@@ -404,9 +404,10 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield an error message for each column of a log with a value outside its plausible range.
+    """Yield an error message for each column of a log that has implausible values.
 
-    `frame` has the rows of all flights. The message gives the first such value of the column.
+    A value is implausible if it is outside the range that the module gives for the column. The
+    message quotes the first of these values. `frame` has the rows of all flights.
     """
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()
@@ -448,22 +449,22 @@ def _time_complaints(flight: str, times: np.ndarray) -> Iterator[str]:
 
 
 def refuse_wrong_units(frame: pd.DataFrame, mass_kg: float, source: str) -> None:
-    """Raise an error if the power of a flight seems not to be in W, or the payload not in kg.
+    """Raise an error if the power seems to be in mW or kW instead of W, or the payload in g.
 
     Parameters
     ----------
     frame : DataFrame
         Rows of the flights.
     mass_kg : float
-        Mass of the vehicle without payload, to which power and payload are compared.
+        Mass of the vehicle without payload, which sets the plausible ranges.
     source : str
         Name of the log, for the message.
 
     Raises
     ------
     ScenarioError
-        If the median power of a flight is plausible only in milliwatts or kilowatts, or its payload
-        only in grams.
+        If the median power of a flight is plausible only in milliwatts or kilowatts, or the median
+        payload only in grams.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         power, payload = float(rows[POWER].median()), float(rows[PAYLOAD].median())

@@ -4,8 +4,7 @@ Method: see docs/theory/identification.md, eq. (1).
 
 Airspeed and acceleration come from the log. For each row of the log, the equations of the vehicle's
 model are solved for the attitude and the rotor speed that produce the acceleration. The same
-equations then give the power. The module uses the compiled equations of the planner, and has no
-equations of the vehicle of its own.
+equations then give the power. They are the compiled equations of the planner.
 """
 
 from collections.abc import Mapping
@@ -50,8 +49,9 @@ _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
     """Make a scenario for the identification of a vehicle: a short mission in calm air.
 
-    In calm air, the velocity over ground in the model equals the velocity through the air. The
-    mission has no effect on the identification, but a scenario must have a mission.
+    The air is calm, so that velocity over ground and velocity through the air are equal in the
+    model. The mission is needed only because every scenario has one; it has no effect on the
+    identification.
 
     Parameters
     ----------
@@ -134,7 +134,8 @@ class LoggedMotion:
     def _power_only(self) -> frozenset[str]:
         """Names of the parameters that affect the power only, not the motion.
 
-        If only these parameters change, attitude and rotor speed need not be solved for again.
+        If only these parameters change, attitude and rotor speed remain valid, and only the power
+        is computed again.
         """
         self._instants({})
         states = self._states_found[_FEW]
@@ -181,8 +182,8 @@ class LoggedMotion:
         Returns
         -------
         ndarray, shape (n_rows, n_states)
-            State of the vehicle's model in each row: roll, pitch and rotor speed are solved for,
-            all other states are given by the log.
+            State of the vehicle's model in each row. Newton's method gives roll, pitch and rotor
+            speed; the log gives the velocity.
 
         Raises
         ------
@@ -237,8 +238,8 @@ class LoggedMotion:
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
     """Return the accelerations over ground [m/s²] in each row of a log, shape (n_rows, 3).
 
-    They are finite differences of the logged velocities over ground, taken within each flight.
-    `frame` has the rows of all flights.
+    They are finite differences of the logged velocities. No difference spans two flights. `frame`
+    has the rows of all flights.
     """
     found = np.zeros((len(frame), len(VELOCITY)))
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():

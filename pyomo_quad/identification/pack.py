@@ -4,8 +4,9 @@ Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-val
 
 The battery is simulated without the vehicle, under the measured powers of the flights. The
 simulation uses the battery equations of the planner's model. The charge at the start of a flight
-follows from the voltage before the motors load the pack. Each flight has its own pack, of its own
-age and temperature. The resistance of this pack follows from the first seconds under load.
+follows from the voltage before the motors load the pack. The packs of the flights differ in age and
+temperature, and therefore in resistance. The resistance of a flight's pack follows from the first
+seconds under load.
 """
 
 from dataclasses import dataclass
@@ -70,8 +71,8 @@ _FASTEST_STEPS, _SLOWEST_S = 1.0, 1000.0
 class PackParameter:
     """Field of a battery, such as the resistance, with fitted value and standard deviation.
 
-    Value and deviation are in the field's unit. The deviation is a jackknife estimate: it follows
-    from the fits of the cross-validation, each of which leaves out one group of flights.
+    Value and deviation are in the field's unit. The deviation is a jackknife estimate from the fits
+    of the cross-validation. Each of these fits leaves out one group of flights.
     """
 
     name: str
@@ -83,7 +84,7 @@ class PackParameter:
 class PackIdentification:
     """Battery identified from flights, with the errors of its computed voltages.
 
-    The voltage of an "unseen" flight is computed by a fit without this flight.
+    An "unseen" flight is a flight that was left out of the fit with which its voltage is computed.
 
     Attributes
     ----------
@@ -92,10 +93,10 @@ class PackIdentification:
     parameters : tuple of PackParameter
         Fitted fields.
     flights : DataFrame
-        One row for each flight. Columns: state of charge at start and end [percent], factor on the
-        resistance of the flight's pack, and two root mean square errors of the voltage of the
-        unseen flight [mV per cell]. For the first error, the voltage is computed with the factor of
-        the flight's pack. For the second error, it is computed with the factor 1 of a median pack.
+        One row for each flight, computed as an unseen flight. Columns: state of charge at start and
+        end [percent], resistance of the flight's pack divided by the resistance of the median pack,
+        and two root mean square errors of the voltage [mV per cell]. The first error is computed
+        with the resistance of the flight's pack, the second with the resistance of the median pack.
     rows : DataFrame
         One row for each time step of each unseen flight. Columns: flight, time [s], measured and
         computed cell voltage [V].
@@ -105,8 +106,8 @@ class PackIdentification:
     error_mV, error_unread_mV, base_error_mV : float
         Root mean square errors of the computed voltage in flight [mV per cell]. `error_mV` is the
         error in unseen flights, with the resistance of each flight's pack. `error_unread_mV` is the
-        error in unseen flights, with the resistance of a median pack. `base_error_mV` is the error
-        in all flights, with the battery before the fit and its resistance.
+        error in unseen flights, with the resistance of the median pack. `base_error_mV` is the
+        error in all flights with the battery before the fit.
     """
 
     scenario: Scenario
@@ -123,7 +124,7 @@ class _Flown(NamedTuple):
     """Measured power and cell voltage of one flight, in time steps of equal length.
 
     The time steps have the same length for all flights. The first step is a few seconds before the
-    load of the motors begins. If the log begins later, the first step is the start of the log.
+    motors begin to load the pack, or at the start of the log if the log begins later.
 
     Attributes
     ----------
@@ -133,10 +134,10 @@ class _Flown(NamedTuple):
         Power of the pack [W] and voltage per cell [V] in each time step.
     rest : (float, float)
         Mean voltage per cell [V] and mean power [W] before the load begins. If the log begins under
-        load, the values of its first row.
+        load, voltage and power of its first row.
     aloft : int
-        Number of time steps that count as flight: all steps of the arrays up to the last step under
-        load, which is included.
+        Number of time steps that count as flight: from the first step of the arrays to the last
+        step under load.
     """
 
     name: object
@@ -150,9 +151,8 @@ class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
     The arrays `power` [W] and `voltage` [V per cell] have one column for each flight and one row
-    for each time step. The constructor computes them from the log: it resamples each flight to the
-    common time step, and removes all time steps that are more than 3 s before the motors begin to
-    load the pack. Row 0 is the first remaining time step of each flight. The columns of shorter
+    for each time step. Each flight is resampled to the common time step, and begins at most 3 s
+    before the motors load the pack. Row 0 is the beginning of each flight. The columns of shorter
     flights are filled up with zeros. Flights that are too short or have no load are left out.
 
     Parameters
@@ -212,10 +212,10 @@ class Record:
         return np.asarray(current.sum(axis=0) * self.step / 3600.0)
 
     def part(self, chosen: NDArray[np.int64]) -> "Record":
-        """Return a record with only some of the flights of this record.
+        """Return a new record with the chosen flights of this record.
 
-        Each flight is one column of the record's arrays. `chosen` holds the numbers of the columns
-        to keep, from 0.
+        `chosen` holds the indices of the flights, from 0. The index of a flight is the index of its
+        column in the record's arrays.
         """
         part = object.__new__(Record)
         part.step, part.reading, part.cells = self.step, self.reading, self.cells
@@ -228,8 +228,8 @@ class Record:
     def after_reading(self, rows: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Select the time steps of each flight that follow the first seconds under load.
 
-        The voltages in the first seconds under load determine the pack's resistance. The errors of
-        the computed voltage are therefore taken over the later time steps only.
+        The first seconds are left out of the errors of the computed voltage, because the voltages
+        in these seconds determine the pack's resistance.
 
         Parameters
         ----------
@@ -253,9 +253,9 @@ class Circuit:
     Parameters
     ----------
     scenario : Scenario
-        Scenario from the function `with_circuit`: its battery has a slow part of the resistance
-        (relaxation), a temperature on which the resistance depends, and a state of health (a
-        factor on the resistance).
+        Scenario from the function `with_circuit`. Its battery has a relaxation resistance, whose
+        voltage drop builds up slowly, a temperature on which the resistances depend, and a state of
+        health (a factor on the resistances).
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -274,7 +274,7 @@ class Circuit:
         self.start = np.log(_as_given(scenario))
 
     def numbers(self, values: FloatArray, factor: FloatArray) -> dict[str, FloatArray]:
-        """Return the values of the battery model's parameters for each flight.
+        """Return the parameter values of the battery model for each flight, from the fitted fields.
 
         Parameters
         ----------
@@ -336,14 +336,14 @@ class Circuit:
         return voltage, open_circuit
 
     def whole(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the computed cell voltage under load of all flights at all times of the record.
+        """Simulate the cell voltage under load of all flights, at all times of the record.
 
         Parameters
         ----------
         record : Record
             Measured powers.
         values : ndarray, shape (n,)
-            Logarithms of the parameters of the circuit that are fitted, such as resistances.
+            Logarithms of the fitted fields.
         factor : ndarray, shape (n_flights,)
             Factor on the resistance of each flight's pack.
 
@@ -355,11 +355,12 @@ class Circuit:
         return self.voltages(record, values, factor, len(record.power))[0]
 
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
-        """Return the charge that a full pack has lost before the start of each flight [A h].
+        """Return the charge that is missing from the pack at the start of each flight [A h].
 
-        The charge follows from the open-circuit voltage at the start of the flight. This voltage is
-        the voltage measured at rest. If the record begins under load, it is the measured voltage
-        plus the computed voltage drop.
+        The charge is counted from the full pack. It follows from the open-circuit voltage at the
+        start of the flight. The open-circuit voltage is the measured voltage plus the computed
+        voltage drop under the power before take-off. If the record begins under load, the power of
+        its first row is used.
 
         Parameters
         ----------
@@ -373,7 +374,7 @@ class Circuit:
         Returns
         -------
         ndarray, shape (n_flights,)
-            Charge that the whole pack of each flight has lost [A h].
+            Charge missing from the whole pack of each flight [A h].
         """
         voltage, power = record.rest.T
         told = {name: number[:1] for name, number in self.numbers(values, factor).items()}
@@ -393,8 +394,8 @@ class Circuit:
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
         """Determine the factor on each pack's resistance from the first seconds under load.
 
-        The packs of the flights differ in age and temperature. With the chosen factor, the mean
-        computed voltage in the first seconds under load equals the mean measured voltage.
+        The packs of the flights differ in age and temperature. The factor is chosen so that the
+        mean computed voltage in the first seconds under load equals the mean measured voltage.
 
         Parameters
         ----------
@@ -421,15 +422,15 @@ class Circuit:
     def residuals(self, record: Record, values: FloatArray) -> FloatArray:
         """Return computed minus measured cell voltage [V] of all flights, as one vector.
 
-        Each flight has its own factor on the resistance. The first seconds under load determine
-        this factor, and are left out of the result.
+        Each flight has its own factor on the resistance, which the first seconds under load
+        determine. These seconds are left out of the result.
 
         Parameters
         ----------
         record : Record
             Measured powers and voltages.
         values : ndarray, shape (n,)
-            Logarithms of the fields of the battery that are fitted.
+            Logarithms of the fitted fields.
         """
         factor = self.factors(record, values)
         computed = self.whole(record, values, factor)
@@ -438,7 +439,7 @@ class Circuit:
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
         """Fit the circuit to the measured voltages of a record.
 
-        The fitted resistances belong to the median pack, whose factor on the resistance is 1.
+        The fitted resistances are scaled so that the median of the packs' factors is 1.
 
         Parameters
         ----------
@@ -545,9 +546,9 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 def _resistance(values: FloatArray) -> float:
     """Return the total resistance of a cell after a long time under load [ohm].
 
-    The total has two parts: the ohmic resistance, which acts at once, and the resistance of the
-    relaxation, whose voltage drop builds up slowly. `values` are the logarithms of the fitted
-    fields, in the order of the mapping `FITTED`.
+    The total is the sum of the ohmic resistance and the relaxation resistance, whose voltage drop
+    builds up slowly. `values` are the logarithms of the fitted fields, in the order of the mapping
+    `FITTED`.
     """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
@@ -557,13 +558,13 @@ def _resistance(values: FloatArray) -> float:
 def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
-    The circuit has a slow part of the resistance (relaxation), a temperature on which the
-    resistance depends, and a state of health (a factor on the resistance).
+    The circuit has a relaxation resistance, whose voltage drop builds up slowly, a temperature on
+    which the resistances depend, and a state of health (a factor on the resistances).
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose battery may have a single resistance only.
+        Scenario whose battery may have a single resistance and no temperature.
 
     Returns
     -------
@@ -590,11 +591,11 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the initial values of the battery fields that are fitted (not their logarithms).
+    """Return the initial values of the fitted battery fields, before the logarithm is taken.
 
-    The values are those of `scenario`, in the order of `FITTED`, which lists the fitted fields. The
-    fit uses the logarithms of the fields, so that all values must be positive. If the battery has
-    no relaxation or no activation energy (temperature dependence of the resistance), positive
+    The values are those of `scenario`, in the order of `FITTED`, which lists the fitted fields. All
+    values must be positive, because the fit uses their logarithms. If the battery has no
+    relaxation, or no activation energy for the temperature dependence of the resistance, positive
     default numbers take the place of the missing values.
     """
     pack = scenario.battery
@@ -629,7 +630,7 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
     Returns
     -------
     float or ndarray, shape (n_flights,)
-        One error over all flights, or the error of each flight.
+        The error over all flights, or the error of each flight.
     """
     counted = record.after_reading(record.is_aloft)
     squares = np.where(counted, (computed - record.voltage) ** 2, 0.0)
@@ -640,7 +641,7 @@ def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
     """Return measured and computed cell voltage [V] over time in one table, flight by flight.
 
     `record` has the measured voltages. `computed` are the computed cell voltages [V], shape
-    (n_times, n_flights). Times at which a flight has no measured voltage are left out.
+    (n_times, n_flights). Times after the end of a flight's log are left out.
     """
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)

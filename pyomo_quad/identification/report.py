@@ -152,7 +152,7 @@ def _pack_summary(pack: PackIdentification) -> dict[str, object]:
 def pack_file(pack: PackIdentification) -> str:
     """Return the text of a battery file with the fitted battery, each number with its source.
 
-    A battery file (TOML) holds the fields of a battery, for use in scenarios and vehicle files.
+    A battery file (TOML) holds the fields of a battery. Scenarios and vehicle files refer to it.
 
     Parameters
     ----------
@@ -210,8 +210,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
     base : str
         Base vehicle: the name of a vehicle of the library, or the path of a vehicle file (.toml).
     battery : str, optional
-        Name of a battery file in the folder of the new vehicle file. This battery replaces the
-        battery of the base vehicle; by default the base vehicle's battery is kept.
+        Name of a battery file in the folder of the new vehicle file. Its battery replaces the
+        battery of the base vehicle. By default, the base vehicle's battery is kept.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}
@@ -231,13 +231,13 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     """Yield the lines of a vehicle or battery file (TOML), one for each entry.
 
-    An entry is a number with its source, or a plain value such as the name of the base vehicle.
-    Each line begins with the dotted key of the entry, such as ``fields.mass``.
+    An entry is a number with its source, or a value without source, such as the name of the base
+    vehicle. Each line begins with the dotted key of the entry, such as ``fields.mass``.
 
     Parameters
     ----------
     table : mapping
-        Entries as nested mappings: the whole file, or a table in the file.
+        Entries of the whole file, or of one of its tables, as nested mappings.
     path : str, optional
         Key of the table with a dot at its end, such as ``fields.``; empty for the whole file.
     """

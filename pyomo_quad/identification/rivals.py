@@ -44,9 +44,9 @@ def model_table(found: Identification) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each model: number of fitted parameters, errors of energy and power on flights
-        that were left out of the fit (cross-validation), and errors of energy when the model is
-        extrapolated to other payloads and speeds. The identified model is the last.
+        One row for each model; the identified model is the last. Columns: number of fitted
+        parameters, errors of energy and power in cross-validation, and errors of energy in
+        extrapolations to other payloads and speeds.
     """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
@@ -65,9 +65,9 @@ def model_table(found: Identification) -> pd.DataFrame:
 def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
     """Return the regressors of each published power model, by the model's name.
 
-    The models are linear in their parameters: the powers in all rows of a log are the matrix of
-    regressors, shape (n_rows, n_parameters), times the vector of parameters. `frame` has the rows
-    of the flights, and `mass` is the vehicle's mass without payload [kg].
+    Each model is linear in its parameters: power = X p, where X is the matrix of regressors, shape
+    (n_rows, n_parameters), and p the vector of parameters. `frame` has the rows of the flights, and
+    `mass` is the vehicle's mass without payload [kg].
     """
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
@@ -126,14 +126,14 @@ def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...
     models : DataFrame
         Errors of all models, from `model_table`.
     tried : sequence of Trial
-        Extrapolations to other payloads or speeds. The table `models` has one column with the
-        errors of each extrapolation, in the same order.
+        Extrapolations to other payloads or speeds. The table `models` has one column of errors for
+        each extrapolation, in the same order.
 
     Returns
     -------
     tuple of Measure
         One comparison for the energy of flights, one for the power in the rows of the log, and one
-        for the energy of flights in each extrapolation.
+        for each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

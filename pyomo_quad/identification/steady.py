@@ -73,12 +73,14 @@ class SteadyFit:
     power : ndarray, shape (n_points,)
         Computed power of each point [W].
     unseen : ndarray, shape (n_points,)
-        Power of each point by a fit without the point [W]; NaN if there are too few points.
+        Power of each point, computed with a fit to the other points [W]; NaN if there are too few
+        points.
     together : tuple of (str, str)
-        Name of each field that the points do not determine, and name of the field with the most
-        similar effect on the power ("" if no other field has a similar effect).
+        One pair of names for each field that the points do not determine: its own name, and the
+        name of the field with the most similar effect on the power. The second name is "" if no
+        effect is similar.
     cautions : tuple of str
-        Limitations of the result.
+        Warnings about limitations of the result.
     """
 
     scenario: Scenario
@@ -153,9 +155,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
 def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
-    The points may have endurances in place of powers. The power is then 80 % of the energy stored
-    in the vehicle's battery, divided by the endurance: a flight is assumed to use 80 % of the
-    energy.
+    If the points have endurances in place of powers, the power is 0.8 * stored energy of the
+    vehicle's battery / endurance. The assumption is that a flight uses 80 % of the stored energy.
 
     Parameters
     ----------
@@ -192,8 +193,8 @@ def _read_csv(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or if the table has no rows or has text in a column. Also if the
-        table has neither powers nor endurances.
+        If the file cannot be read, or if the table has no rows, has text in a column, or has
+        neither powers nor endurances.
     """
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:
@@ -259,8 +260,8 @@ def level_powers(scenario: Scenario, airspeeds: Sequence[float], planner: Planne
     airspeeds : sequence of float
         Airspeeds [m/s], n of them.
     planner : Planner
-        Planner that compiles the vehicle's model and computes the steady flight; between calls, it
-        keeps the compiled model.
+        Planner that compiles the vehicle's model and computes the steady flight. It keeps the
+        compiled model for further calls.
 
     Returns
     -------
@@ -291,8 +292,7 @@ def identify_steady(
     points : DataFrame
         Measured points, from `read_steady`.
     names : sequence of str, optional
-        Fields of the vehicle to fit, chosen from `fitting.FITTABLE`, the list of fields that can be
-        fitted.
+        Fields of the vehicle to fit. `fitting.FITTABLE` lists the fields that can be chosen.
 
     Returns
     -------
@@ -327,10 +327,10 @@ def identify_steady(
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return the standard deviations of the fitted parameters, by linear least squares.
+    """Return the standard deviations of the fitted parameters, from the linearised fit.
 
-    The standard error of a measured power is estimated from the residuals of the fit. With few
-    points, it is at least an assumed fraction of the mean power.
+    The standard deviation of a measured power is estimated from the residuals of the fit. With few
+    points, an assumed fraction of the mean power is its lower limit.
 
     Parameters
     ----------

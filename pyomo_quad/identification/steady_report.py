@@ -109,8 +109,7 @@ def draw_points(scenario: Scenario, points: pd.DataFrame, planner: Planner) -> F
     points : DataFrame
         Measured points.
     planner : Planner
-        Planner that compiles the vehicle's model and computes the power; it keeps the compiled
-        model for further figures.
+        Planner that compiles the vehicle's model and computes the power.
     """
     figure, axes = full_width(3.2, top=0.96, bottom=0.15)
     if points[AIRSPEED].max() == 0.0:

@@ -1,7 +1,8 @@
 """Errors of computed energies on flights that were not part of the fit.
 
-Method: see docs/theory/identification.md, eq. (5). The same cross-validation and the same
-extrapolations are applied to the package's model and to published models.
+Method: see docs/theory/identification.md, eq. (5). The errors come from cross-validation and from
+extrapolations. They are computed for the package's model and, in the same way, for published
+models.
 """
 
 from collections.abc import Callable
@@ -36,7 +37,7 @@ _CRUISING = 0.9
 class Scores:
     """Errors of the computed energies and powers of flights.
 
-    Energies are sums over take-off, cruise and landing.
+    The energy of a flight is the sum over take-off, cruise and landing.
 
     Attributes
     ----------
@@ -45,8 +46,7 @@ class Scores:
     mean_absolute_error_percent : float
         Mean over the flights of the absolute relative error of the computed energy.
     bias_percent : float
-        Relative error of the computed energy of all flights together; positive if the computed
-        energy is larger than the measured energy.
+        100 (computed - measured) / measured, for the sum of the energies of all flights.
     power_rmse_W : float
         Root mean square error of the computed power over all rows of the log.
     """
@@ -90,8 +90,8 @@ def energies(frame: pd.DataFrame, power: FloatArray) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each flight: both energies [J], and computed minus measured energy relative to
-        the measured energy [percent].
+        One row for each flight: both energies [J], and the relative error 100 (computed - measured)
+        / measured [percent].
     """
     steps = frame.groupby(FLIGHT, sort=False)[TIME].transform(lambda t: np.median(np.diff(t)))
     columns = {MEASURED_ENERGY: frame[POWER] * steps, PREDICTED_ENERGY: power * steps}
@@ -147,10 +147,10 @@ def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]
 
 
 def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
-    """Compute the power of each row by a fit without the row's flight.
+    """Compute the power of each row with a model that was fitted to other flights.
 
-    The flights are divided into groups by `folds`. The power in the flights of a group is computed
-    by a fit to the flights of all other groups.
+    The function `folds` divides the flights into groups. The power in the flights of a group is
+    computed with a model that was fitted to all other groups.
 
     Parameters
     ----------
@@ -217,8 +217,8 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
     """Return the usual ground speed in cruise [m/s] of the flight that each row belongs to.
 
-    The usual speed is the 90 % quantile over the flight's cruise, rounded to steps of 2 m/s. It
-    serves to group flights, for example into slow and fast flights.
+    The usual speed of a flight is the 90 % quantile of the ground speed in its cruise, rounded to a
+    multiple of 2 m/s. It serves to group flights, for example into slow and fast flights.
 
     Parameters
     ----------

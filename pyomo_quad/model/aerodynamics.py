@@ -4,13 +4,14 @@ The force is the sum of two parts. The first part follows one of two laws, which
 `wind.coupling` selects:
 
 `acceleration` is eq. (9) of the paper (Yacef et al.) as printed, which adds the wind velocity to
-the acceleration of the vehicle. For consistent units, the wind velocity has a coefficient of 1 per
-second, which the paper implies but does not print. The vehicle's own velocity does not enter.
+the acceleration of the vehicle. The wind velocity is multiplied by a coefficient of 1 per second,
+which the paper does not print, but which the units require. The vehicle's own velocity has no
+effect on this force.
 
 `drag` is an isotropic drag: the force is -(d_1 + d_2 abs(v)) v. The airspeed v is the velocity of
 the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
 `drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. `drag` is the
-default for a vehicle that has a drag coefficient of any kind.
+default for a vehicle that has any drag coefficient.
 
 The second part is the same with both laws. It consists of forces along the body axes, which depend
 on the airspeed v in body axes and on the rotor speed omega. A vehicle with rotor drag and parasitic
@@ -23,9 +24,9 @@ rotor_drag_axis | -k_z omega v along z, at each rotor | Svacha, Mohta and Kumar 
 translational_lift | k_h (v_x^2 + v_y^2) along z, at each rotor | Faessler et al. (2018)
 parasitic_drag | -c_i abs(v) v_i along each axis | Svacha, Mohta and Kumar (2017)
 
-Each rotor has the airspeed at its own place, including the motion from the body rates. Rotor drag
-therefore damps the body rates without a further coefficient. Each force of the second part is
-declared only if its coefficient is not zero.
+The airspeed of a rotor is the airspeed at the rotor's place: it includes the velocity of this place
+due to the body rates. Rotor drag therefore damps the body rates without a further coefficient. A
+force of the second part is declared only if its coefficient is not zero.
 """
 
 from collections.abc import Callable
@@ -66,11 +67,15 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    If `wind.coupling` is "acceleration", the coefficient of eq. (9) of Yacef et al. is a parameter.
-    If the vehicle has rotor drag or translational lift, their coefficients are parameters. If the
-    vehicle has parasitic drag, its coefficients are parameters. The coefficients of the isotropic
-    drag are not in the result, because they are parameters of block `vehicle`. Each `Parameter`
-    states name, unit and meaning of a number, and how its value follows from a scenario.
+    The parameters are:
+
+    - the coefficient of eq. (9) of Yacef et al., if `wind.coupling` is "acceleration",
+    - the coefficients of rotor drag and translational lift, if the vehicle has these forces,
+    - the coefficients of parasitic drag, if the vehicle has this force.
+
+    The coefficients of the isotropic drag are parameters of block `vehicle` instead. Each
+    `Parameter` states name, unit and meaning of a number, and how its value follows from a
+    scenario.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -104,8 +109,8 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         in `rigid_body`.
     scenario : Scenario
         Scenario whose field `wind.coupling` selects how the wind acts on the vehicle: through an
-        isotropic drag, or as the acceleration of eq. (9) of Yacef et al. Forces along the body axes
-        are added if the vehicle has a coefficient for them that is not zero.
+        isotropic drag, or as the acceleration of eq. (9) of Yacef et al. The vehicle's coefficients
+        select the forces along the body axes.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -130,16 +135,16 @@ _ACCELERATION = units.m / units.s**2
 
 
 def declare_unexplained(m: ConcreteModel) -> None:
-    """Add a constant horizontal acceleration, as a correction, to the motion of the vehicle.
+    """Add a constant horizontal acceleration to the equations of motion, as a correction.
 
     The acceleration is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A
     planner in flight sets the parameter to the observed acceleration minus the modelled
     acceleration. This difference is not zero if the wind differs from the forecast.
 
     Each horizontal force is replaced by a new expression of the same name: the force plus the mass
-    times the unexplained acceleration. The old expression gets another name. A component that
-    refers to the horizontal forces must be declared later; otherwise it would refer to the old
-    expressions.
+    times the unexplained acceleration. The old expression is renamed. Call this function before
+    declaring any component that refers to the horizontal forces; otherwise the component would
+    refer to the old expressions.
 
     Parameters
     ----------
@@ -178,10 +183,10 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
     """Return Pyomo rule and documentation text of each wind force of eq. (9), by name.
 
-    Eq. (9), as printed in the paper (Yacef et al.), adds the wind velocity, times a factor in 1/s,
-    to the acceleration of the vehicle. The wind force is the added acceleration times the mass [N].
-    The names `force_x`, `force_y` and `force_z` stand for the forces along the world axes.
-    `updraft` is the vertical wind over time, or None for a horizontal wind.
+    Eq. (9) of the paper (Yacef et al.) adds the acceleration c w to the motion, where w is the wind
+    velocity and c a coefficient in 1/s. The wind force is the mass times c w [N]. Its components
+    along the world axes are named `force_x`, `force_y` and `force_z`. `updraft` is the vertical
+    wind over time, or None for a horizontal wind.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -231,14 +236,14 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 
 
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
-    """Declare the drag coefficient, and return the drag forces along the world axes.
+    """Declare the drag divided by the airspeed, and return the drag forces along the world axes.
 
-    The drag coefficient is the drag divided by the airspeed [kg/s], as an expression over time.
+    The ratio, d_1 + d_2 abs(v) [kg/s], is an expression over time.
 
     Parameters
     ----------
     b : Block
-        Block that receives the drag coefficient.
+        Block that receives the ratio.
     m : ConcreteModel
         Model of the mission, to which the block belongs.
 
@@ -347,9 +352,9 @@ def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
     The sum along a body axis consists of the parasitic drag and of the drag and translational lift
-    of all rotors. Forces whose coefficients are all zero are left out. The sum along a world axis
-    consists of the same forces, rotated to world axes, and one more force along this axis: the
-    isotropic drag, or the wind force of eq. (9) of Yacef et al. The block already has this force.
+    of all rotors. Forces whose coefficients are all zero are left out. To obtain the sum along a
+    world axis, these forces are rotated to world axes. Then the isotropic drag, or the wind force
+    of eq. (9) of Yacef et al., is added; the block already has this force.
 
     Parameters
     ----------

@@ -17,32 +17,31 @@ cylinder is the intersection of a disk and an interval of height. A box is the i
 intervals. A prism over a convex polygon is the intersection of an interval across each edge and an
 interval of height.
 
-A place is outside the zone if it is outside at least one of the balls, that is, if the largest of
-the d_k is positive. In the model, a smooth lower bound replaces this maximum. A place is allowed if
-the lower bound is not negative. Every place inside the zone is thus forbidden. Some places outside
-the zone are forbidden, too. These places are near an edge of the zone, where two of the d_k differ
-by less than about w. Their distance from the zone is at most 0.14 w = 70 mm, and at the corners of
-a box at most 0.28 w = 140 mm. Away from the edges, the forbidden places are exactly the zone. The
-clearance moves each face outwards by the distance c, and does not round the edges between the
-faces.
+A place is outside the zone if it is outside at least one of the balls, that is, if max(d_k) > 0. In
+the model, a smooth lower bound replaces this maximum. A place is allowed if the lower bound is not
+negative. Every place inside the zone is thus forbidden. Some places just outside an edge of the
+zone are forbidden, too: places where two of the d_k differ by less than about w. Their distance
+from the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Away
+from the edges, the forbidden places are exactly the zone. The clearance moves each face outwards by
+the distance c; the edges between the faces stay sharp.
 
 A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
-Near a corner of the prism, more than two of the d_k may be nearly equal. If j of them are nearly
-equal, the distance of a forbidden place from the zone is at most (j - 1) 0.14 w.
+Near a corner of the prism, j of the d_k may be nearly equal, with j > 2. The distance of a
+forbidden place from the zone is then at most (j - 1) 0.14 w.
 
 The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
-edges gives a linear limit of the position. These limits are exact everywhere, corners included. The
-clearance does not apply to the fence.
+edges gives a linear limit of the position. These limits are exact, also at the corners. The
+clearance applies to keep-out zones only, not to the fence.
 
 Over terrain, floor and ceiling limit the height above the ground, which the module `model.ground`
 declares. Flights stay within the edges of the terrain's grid, where the ground is known. Whether
 flights may leave the grid of a wind field depends on the scenario's `wind.beyond`. With "refuse",
 flights stay within the edges of the grid. With "hold", flights may leave the grid, and the wind of
-the edge also blows outside. Bottom and top of a zone are coordinates z, to which the height of the
-ground is not added.
+the edge also blows outside. Bottom and top of a zone are coordinates z, and not heights above the
+ground.
 
-`declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone. Even
-the smallest deviation from such a place towards the zone would be forbidden.
+`declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone: even
+the smallest deviation towards the zone would violate the limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -118,8 +117,8 @@ def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     The names are "west", "east", "south" and "north", and for a field over heights also "bottom"
     and "top". Each value is a tuple: the axis (0 for x, 1 for y, 2 for z), the side (-1 for the
     lower end, 1 for the upper) and the coordinate of the edge on the axis [m]. The result is empty
-    if the scenario has no wind field, or if its field `wind.beyond` is "hold" (the wind of the edge
-    also blows outside of the grid).
+    if the scenario has no wind field, or if flights may leave the wind field (`wind.beyond` is
+    "hold").
 
     Parameters
     ----------
@@ -156,14 +155,13 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
-    A ball contains the places whose distance from its centre is at most its radius. The distance is
-    measured on one, two or three coordinate axes: the ball is then a slab between two planes, a
-    cylinder or a sphere.
+    If the distance is measured along one coordinate axis, the ball is a slab between two planes. If
+    it is measured along two or three axes, the ball is a cylinder or a sphere.
 
-    A prism over a polygon also needs slabs that are bounded by two vertical planes parallel to an
-    edge of the polygon. The distance is then measured along the normal of these planes, which may
-    have any horizontal direction. For such a slab, the returned axes are x and y. The returned
-    centre is a point midway between the two planes: the point nearest to the origin.
+    For a prism over a polygon, there is also a slab for each edge of the polygon, between two
+    vertical planes parallel to the edge. The distance is measured along the normal of the planes,
+    which may have any horizontal direction. For this slab, the returned axes are x and y, and the
+    returned centre is the point nearest to the origin among all points midway between the planes.
 
     Returns
     -------
@@ -303,16 +301,15 @@ def _inside(
 ) -> RelationalExpression:
     """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t.
 
-    The data are terrain or a wind field. This function becomes a Pyomo rule when its first two
-    arguments have been fixed.
+    The data are terrain or a wind field. With `edges` and `parameter` fixed, the function is a
+    Pyomo rule.
 
     Parameters
     ----------
     edges : mapping
         Axis, side and coordinate of each edge of the grid, by the edge's name. The axis across the
         edge is 0, 1 or 2 for x, y or z. The side is 1 if the edge limits the coordinate from above,
-        and -1 from below. The coordinate [m] is not used here, because the model has it as a
-        parameter.
+        and -1 from below. The coordinate [m] is not used, because `parameter` holds it.
     parameter : str
         Name of the Pyomo parameter of block `airspace` that holds the coordinate of each edge [m].
     b : Block
@@ -360,8 +357,8 @@ def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
     radius : number or expression
         Radius of the ball [m].
     rounding : number or expression
-        Length [m] that makes the result differentiable at the centre. On the surface, the result is
-        zero for every value of this length.
+        Length [m] that makes the result differentiable at the centre of the ball. Its value does
+        not move the surface, on which the result is zero.
     """
     return sqrt(squared_distance + rounding**2) - sqrt(radius**2 + rounding**2)
 
@@ -375,7 +372,8 @@ def _largest(distances: Sequence[Any], width: Any) -> Any:
         Signed distances of a place from the balls whose intersection is a zone [m]. The place is
         outside the zone if the largest distance is positive.
     width : number or expression
-        Difference between two distances below which their maximum is smoothed [m].
+        Width of the smoothing [m]: the maximum of two distances is smoothed if they differ by less
+        than about this width.
     """
     return reduce(lambda one, other: saturated(one, other, width), distances)
 
@@ -383,11 +381,10 @@ def _largest(distances: Sequence[Any], width: Any) -> Any:
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
-    The surface is the boundary of all places that the model forbids because of the zone. These are
-    the places in the zone, the places that are closer to the zone than the clearance, and some
-    places near the edges of the zone, because the model smooths the edges. The model would forbid
-    even the smallest deviation from a place on the surface towards the zone. A waypoint with a
-    radius is not checked, because the flight may pass beside the waypoint.
+    The surface is the boundary of the places that the model forbids: the zone, its clearance, and
+    some places near its edges, which the model smooths. From a place on the surface, even the
+    smallest deviation towards the zone would be forbidden. A waypoint with a radius is not checked,
+    because the flight may pass beside the waypoint.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.

@@ -14,29 +14,29 @@ The module `battery_circuit` adds a slow voltage drop and a temperature of the p
 gives their constants. Derivation and sources: see docs/theory/battery.md, eqs. (1) to (6).
 
 P is the total power by the chosen power model. The power balance V i = P states that the pack
-delivers this power at its terminals. The energy of the flight, the integral of P, is therefore the
-energy that leaves the pack. Eq. (4) gives the charge in ampere-seconds; the model converts it to
-ampere-hours.
+delivers this power at its terminals. The integral of P, which is the energy of the flight, is
+therefore the energy that leaves the pack. Eq. (4) gives the charge in ampere-seconds; the model
+converts it to ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, and an open-circuit voltage that does not depend
 on the temperature. Without the scenario's table `battery.relaxation`, the voltage does not recover
 at rest. Without the table `battery.thermal`, the pack has no temperature.
 
-The paper's equations are undefined in two cases. Eq. (5) has a pole at an empty cell. And no
-current delivers more than the pack's greatest power U^2/(4 R), where U is the open-circuit voltage
-(less the relaxation voltage) and R the resistance of the pack.
+The paper's equations are undefined in two cases. Eq. (5) has a pole at SoC = 0. And the power
+balance has no solution if P exceeds the pack's greatest power U^2/(4 R), where U is the
+open-circuit voltage (less the relaxation voltage) and R the resistance of the pack.
 
 Two smooth lower limits, called guards, keep the equations finite. One guard limits the state of
-charge. The other guard limits the ratio of the power reserve to the greatest power. The power
-reserve, `power_reserve`, is the greatest power less the power drawn. Above a fifth of the charge
-and below nine tenths of the greatest power, the guards change no result by more than rounding. The
-pack cannot fly the mission if the state of charge or the power reserve is negative.
+charge. The other limits the ratio of the power reserve to the greatest power. The power reserve,
+`power_reserve`, is the greatest power less the power drawn. If the state of charge is above 20 %
+and the power below 90 % of the greatest power, the effect of the guards is below rounding. If the
+state of charge or the power reserve is negative, the pack is too small for the mission.
 
 The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it exceeds
-the other terms of e_m before the pack is empty, and e_m is then negative. For such constants, the
-model has the path constraint e_m >= 0. A flight that violates this constraint, such as an iterate
-of the solver, must not find power in the pack where U is negative. The model therefore gives the
-greatest power the sign of U: it is U |U|/(4 R).
+the other terms of e_m before the pack is empty, so that e_m becomes negative. For these constants,
+the model has the path constraint e_m >= 0. An iterate of the solver may violate this constraint,
+and U may then be negative. So that the pack supplies no power there, the greatest power has the
+sign of U in the model: U |U|/(4 R).
 """
 
 from pyomo.core import (
@@ -110,11 +110,11 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 
 
 def build_pack(scenario: Scenario) -> ConcreteModel:
-    """Build a model of the battery alone that delivers a given power, `power.load` [W].
+    """Build a model of the battery alone, which delivers a given power `power.load` [W].
 
-    The power is a parameter that does not depend on time in this model. To fit the constants of the
-    battery, the package `identification` simulates the model in time steps. In each time step, it
-    sets this parameter to the measured power of the flights.
+    The package `identification` simulates this model in time steps, to fit the constants of the
+    battery. In each step, it sets `power.load`, a single number, to the measured power of the
+    flight.
 
     Parameters
     ----------
@@ -181,8 +181,8 @@ def declare_loss(m: ConcreteModel) -> None:
 
     The energy lost is the integral of U_0 i - P, where U_0 is the open-circuit voltage at the start
     of the flight, i the current and P the power delivered. The objective of these missions is the
-    energy delivered plus the energy lost. This sum is U_0 times the charge drawn in flight. See
-    docs/theory/battery.md, eqs. (11) to (12).
+    energy delivered plus the energy lost. It therefore equals the integral of U_0 i, that is, U_0
+    times the charge drawn in flight. See docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -212,10 +212,10 @@ def declare_loss(m: ConcreteModel) -> None:
 
 
 def _declare_sizes(b: Block) -> None:
-    """Declare capacity [A h] and resistance [ohm] of the whole pack at its state of health.
+    """Declare capacity [A h] and resistance [ohm] of the whole, possibly aged pack.
 
-    The state of health consists of two factors: one multiplies the capacity of new cells, the other
-    their resistance. `b` is the block `battery`, which receives the two expressions.
+    The state of health of an aged pack consists of two factors, one on the capacity of new cells
+    and one on their resistance. `b` is the block `battery`, which receives the two expressions.
     """
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel
@@ -287,11 +287,11 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
 
-    The scaled charge is the charge drawn from the cell, divided by the capacity factor. The
-    capacity factor is the capacity of the aged cell over the capacity of an unaged cell. The
-    open-circuit voltage is computed from the scaled charge, because the constants of its formula,
-    eq. (5) of Yacef et al., hold for an unaged cell. Without a capacity factor in the model, the
-    charge is not scaled. `b` is the block `battery`, and `t` the time in flight [s].
+    The result is the charge drawn from the cell, divided by the capacity factor (capacity of the
+    aged cell over capacity of an unaged cell). It serves to compute the open-circuit voltage by eq.
+    (5) of Yacef et al., whose constants hold for an unaged cell. If the model has no capacity
+    factor, the result is the charge drawn. `b` is the block `battery`, and `t` the time in flight
+    [s].
     """
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -87,10 +87,10 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 
 
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
-    """Return the scenario fields that carry the state of the battery over to the next flight.
+    """Return the scenario fields that start the next flight with the battery's present state.
 
     The fields set the initial relaxation voltage and the initial temperature of the next flight.
-    The caller sets the initial charge, which is not among the fields.
+    The initial charge is set by the caller.
 
     Parameters
     ----------
@@ -117,9 +117,9 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare relaxation voltage [V] and temperature [K] of the pack as states, if modelled.
 
-    The relaxation voltage is declared only if the scenario has the table `battery.relaxation`, the
-    temperature only if the scenario has the table `battery.thermal`. The states are added to `b`,
-    the block `battery` of the model `m`.
+    The relaxation voltage is modelled if the scenario has the table `battery.relaxation`, the
+    temperature if the scenario has the table `battery.thermal`. The states are added to `b`, the
+    block `battery` of the model `m`.
     """
     pack = scenario.battery
     if pack.relaxation is not None:
@@ -144,9 +144,9 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the differential equations of relaxation voltage and temperature, if modelled.
 
-    Each equation comes with the initial condition of its state. The equation of the relaxation
-    voltage needs the scenario's table `battery.relaxation`, the equation of the temperature needs
-    the table `battery.thermal`. All are added to `b`, the block `battery` of the model `m`.
+    The initial condition of each state is declared, too. The relaxation voltage is modelled if the
+    scenario has the table `battery.relaxation`, the temperature if the scenario has the table
+    `battery.thermal`. The equations are added to `b`, the block `battery` of the model `m`.
     """
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
@@ -162,8 +162,8 @@ def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def _line(equation: object) -> str:
     """Return the first line of the docstring of an equation's function, without the final period.
 
-    `equation` is the function that a Pyomo constraint or expression has as its rule. The result
-    becomes the documentation text of the constraint or expression. Reports print this text.
+    `equation` is the rule of a Pyomo constraint or expression. The result becomes the documentation
+    text of the constraint or expression, which reports print.
     """
     return str(equation.__doc__).partition("\n")[0].rstrip(".")
 
@@ -239,8 +239,8 @@ def initial_relaxation(b: Block) -> RelationalExpression:
 def heat(b: Block, t: float) -> NumericExpression:
     """Heat of the pack's losses, Bernardi's equation without entropy [W].
 
-    The heat is the open-circuit voltage less the terminal voltage, times the current. `b` is the
-    block `battery`, and `t` the time in flight [s]. See docs/theory/battery.md, eq. (9).
+    The heat is (open-circuit voltage - terminal voltage) * current. `b` is the block `battery`, and
+    `t` the time in flight [s]. See docs/theory/battery.md, eq. (9).
     """
     return (b.open_circuit_voltage[t] - b.voltage[t]) * b.current[t]
 
@@ -248,10 +248,9 @@ def heat(b: Block, t: float) -> NumericExpression:
 def heat_balance(b: Block, t: float) -> RelationalExpression:
     """Lumped temperature: heat of the losses less the heat lost to the air [W].
 
-    The result is the differential equation of the temperature, which is equal in all cells. The
-    heat capacity times the rate of the temperature equals the heat of the losses less the heat lost
-    to the air. `b` is the block `battery`, and `t` the time in flight [s]. See
-    docs/theory/battery.md, eq. (10).
+    The result is the differential equation of the temperature, which is equal in all cells: heat
+    capacity times dT/dt = heat of the losses - heat lost to the air. `b` is the block `battery`,
+    and `t` the time in flight [s]. See docs/theory/battery.md, eq. (10).
     """
     cells = b.cells_series * b.cells_parallel
     warming = cells * b.heat_capacity * b.dtemperature_dt[t]

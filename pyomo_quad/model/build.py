@@ -1,7 +1,7 @@
 """Functions that build the continuous-time Pyomo model of a mission.
 
-A scenario may name a model builder: a Python function of the user that builds the model instead.
-The functions `model_builder` and `load_builder` load it.
+A scenario may name a model builder: a Python function of the user that builds the model in place of
+`build_model`. The functions `model_builder` and `load_builder` load this function.
 """
 
 from collections.abc import Callable, Hashable
@@ -50,11 +50,12 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     ConcreteModel
         Model with the blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery,
         limits, airspace, mission`` and, over terrain, ``ground``. The set ``time`` is not
-        discretised. It has the start, the end, and the times at which waypoints are reached and
-        left; without waypoints, it has the start, half the duration and the end. The parameter
-        ``clock`` is the time, for equations that depend on time. ``energy`` is the energy of the
-        flight [J], the integral of the power over time. The ``objective`` is minimised. The suffix
-        ``scaling_factor`` holds one over the usual magnitude of each variable.
+        discretised. Its members are the start, the end, and the times at which waypoints are
+        reached and left. Without waypoints, its members are the start, half the duration and the
+        end. The parameter ``clock`` is the time, for equations that depend on time. ``energy`` is
+        the energy of the flight [J], the integral of the power over time. The ``objective`` is
+        minimised. The suffix ``scaling_factor`` holds one over the usual magnitude of each
+        variable.
 
     Examples
     --------
@@ -83,9 +84,9 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         The model of `build_model` with two additions. The block `wind.turbulence` has the Dryden
-        shaping filters, which turn white noise into gusts. Two mutable parameters, initially zero,
-        are errors: ``wind.error`` is the error of the wind forecast by axis [m/s], and
-        ``power.error`` the relative error of the power model.
+        shaping filters, which turn white noise into gusts. Two mutable parameters with the initial
+        value zero are added: ``wind.error``, the error of the wind forecast by axis [m/s], and
+        ``power.error``, the relative error of the power model.
 
     Examples
     --------
@@ -119,9 +120,9 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 
         - The states at the start are mutable parameters of block `start`.
         - The flight ends in steady hover, tilted against the wind.
-        - The mutable parameter `aerodynamics.unexplained` [m/s^2] is added to the modelled
-          horizontal acceleration. It is initially zero. During the flight, the planner sets it to
-          the observed acceleration less the modelled acceleration.
+        - The mutable parameter `aerodynamics.unexplained` [m/s^2], initially zero, is added to the
+          horizontal acceleration. During the flight, the planner sets it to the observed
+          acceleration less the modelled acceleration.
         - The limits are soft: a flight may violate them, but each violation adds a penalty to the
           objective. See `model.soft_limits`.
 
@@ -142,9 +143,9 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
 
 
 def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
-    """Return a new model that declares time, vehicle, rotors, rigid body, ground and wind.
+    """Return a new, incomplete model with time, vehicle, rotors, rigid body, ground and wind.
 
-    The model has no equations of motion yet: the callers add forces and the further components.
+    The callers add the forces and all further components.
     """
     m = ConcreteModel(name=scenario.name)
     *passages, duration = scenario.nominal_times
@@ -183,11 +184,14 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
 
-    The objective is the energy of the flight [J]. If the duration is free, `mission.price_of_time`
-    of the scenario [W] times the duration [s] is added. If the mission minimises the charge, the
-    energy lost inside the pack is added; see docs/theory/battery.md, eq. (12). `m` is the model,
-    which already declares motion, wind and power. `scenario` gives the values and selects the
-    limits.
+    The objective [J] is the energy of the flight plus these terms:
+
+    - the scenario's `mission.price_of_time` [W] times the duration [s], if the duration is free,
+    - the energy lost inside the pack, if the mission minimises the charge; see
+      docs/theory/battery.md, eq. (12).
+
+    `m` is the model, which already declares motion, wind and power. `scenario` gives the values and
+    selects the limits.
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
@@ -209,13 +213,13 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def parameter_values(scenario: Scenario) -> dict[str, float]:
-    """Return the value of every parameter of the model, for a re-solve without a rebuild.
+    """Return the values of all model parameters, to solve a compiled model for another scenario.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose values are returned. The values fit a model that was built from another
-        scenario only if the function `structure_key` returns equal keys for both scenarios.
+        Scenario whose values are returned. A model that was built from another scenario can use the
+        values if the function `structure_key` returns equal keys for both scenarios.
 
     Returns
     -------
@@ -279,14 +283,13 @@ def structure_key(scenario: Scenario) -> Hashable:
 def guess_key(scenario: Scenario) -> Scenario:
     """Return a key that is equal for scenarios with the same initial guess and variable scaling.
 
-    The key is the scenario without its wind, because neither the guess nor the scaling depends on
-    the wind.
+    The key is the scenario without its wind, because guess and scaling are independent of the wind.
     """
     return scenario.model_copy(update={"wind": None})
 
 
 def ask_for_least_time(m: ConcreteModel, bounds: tuple[float, float], guess: float) -> Var:
-    """Replace the objective of a mission's model by the duration, for a minimum-time problem.
+    """Make a mission's model a minimum-time problem: the objective becomes the duration.
 
     Parameters
     ----------

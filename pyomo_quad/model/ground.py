@@ -10,15 +10,15 @@ z is the height coordinate of the vehicle. A floor is the least permitted height
 ceiling the greatest.
 
 The ground of `airspace.terrain` is bilinear between the points of its grid. U and L are splines
-through values on the same grid; the module `scenario.surfaces` computes the values. Pyomo evaluates
-the splines through the class `collocation.Table`: they are twice differentiable with exact
-derivatives, and the cost of an evaluation does not grow with the grid. The vertical distance
-between the ground and a surface, U or L, is at most the attribute `excess` of this surface.
+through values on the same grid; the module `scenario.surfaces` computes the values. The class
+`collocation.Table` makes the splines available in Pyomo: they are twice differentiable with exact
+derivatives, and the cost of an evaluation is independent of the size of the grid. The greatest
+vertical distance between a surface and the ground is the attribute `excess` of the surface.
 
-The height above the ground is at least z - U and at most z - L. A flight that keeps the floor with
-z - U therefore also keeps the floor with the height above the ground. Where z - U equals the floor,
-the height above the ground exceeds the floor by at most `excess`. In the same way, a flight that
-keeps the ceiling with z - L also keeps the ceiling with the height above the ground.
+The height above the ground is at least z - U and at most z - L. If z - U >= floor, the height above
+the ground is therefore also at least the floor. Where z - U = floor, the height above the ground
+exceeds the floor by at most `excess`. In the same way, if z - L <= ceiling, the height above the
+ground is at most the ceiling.
 
 Over flat ground, both heights z - U and z - L equal z, and no block is declared.
 """
@@ -50,7 +50,7 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     m : ConcreteModel
         Model that already declares `time` and `rigid_body`.
     scenario : Scenario
-        Holds the terrain; without terrain nothing is declared.
+        Holds the terrain. Without terrain, nothing is declared.
     """
     grid = scenario.airspace.ground
     if grid is None:
@@ -73,9 +73,10 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
-    """Return the vehicle's height above the ground, to be limited by a floor or a ceiling [m].
+    """Return the height of the vehicle that a floor or a ceiling limits [m].
 
-    Over flat ground, the height is z. Over terrain, the height is measured from a smooth surface.
+    Over flat ground, this height is z. Over terrain, it is the height above a smooth surface that
+    approximates the ground.
 
     Parameters
     ----------
@@ -84,8 +85,8 @@ def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
     t : float
         Time in flight [s].
     side : int, optional
-        1 for a floor: over terrain, the surface is nowhere below the ground. -1 for a ceiling: the
-        surface is nowhere above the ground.
+        1 for a floor: the surface is nowhere below the ground. -1 for a ceiling: the surface is
+        nowhere above the ground.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

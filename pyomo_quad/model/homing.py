@@ -13,15 +13,15 @@ A home is a place at which the vehicle may land: the start of the mission, or a 
 
 The return is a steady, level flight at one airspeed V. The pack delivers a constant current i. At
 the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2), the distance d takes the time d / g. The charge
-of the return is (1 + margin) i d / g. Two assumptions are made: the wind on the return equals the
-wind at the vehicle, and a difference of height counts as distance. The margin covers the errors of
-these two assumptions.
+of the return is (1 + margin) i d / g. Two assumptions are made: the wind on the whole return equals
+the wind at the vehicle, and climbing a metre takes as much charge as flying a metre. The margin
+covers the errors of these assumptions.
 
-Over terrain, the return has three parts. The vehicle climbs to the height H_k, without coming
-closer to the home. It then flies level to the place above the home, and descends. H_k is the
-highest ground on the straight line to the home, plus the floor of the airspace (the least permitted
-height above the ground). The climb draws a current of its own, for the time that c_k takes at a
-given rate of climb. Level flight and descent count as distance d_k. See docs/theory/homing.md.
+Over terrain, the return has three parts. The vehicle climbs vertically to the height H_k. It then
+flies level to the place above the home, and descends. H_k is the highest ground on the straight
+line to the home, plus the floor of the airspace (the least permitted height above the ground). The
+climb draws a current of its own, for the time that c_k takes at a given rate of climb. The distance
+is then the length of level flight and descent together, in place of d_k. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -100,14 +100,13 @@ def terrain_key(scenario: Scenario) -> Hashable:
     """Return the places of the homes if the compiled model depends on them, or None.
 
     A home is the start of the mission or a rally point. If the scenario has terrain and keeps
-    charge for a return flight, the model has a height table for each home. The table gives the
-    heights that clear the ground on the straight way to the home. The result is None for a model
-    without height tables.
+    charge for a return flight, the model contains a height table for each home. The table gives the
+    least height of a straight return to this home. The result is None for a model without height
+    tables.
 
-    New parameter values do not change the tables of a compiled model. The compiled model is
-    therefore valid only for the homes with which it was built. The function `structure_key`
-    includes the result of this function in its key, so that scenarios with different homes do not
-    share a compiled model.
+    The tables are constants of a compiled model, so that the model is valid only for the homes with
+    which it was built. The function `structure_key` therefore includes the result of this function
+    in its key. Scenarios with different homes then have separate compiled models.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
@@ -116,9 +115,9 @@ def terrain_key(scenario: Scenario) -> Hashable:
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the charge of a return flight in block `homing`, and the limit that reserves it.
 
-    A home is the start of the mission or a rally point. At each time of the mission, the charge
-    drawn so far plus the charge of the return to the nearest home must not exceed the usable
-    charge. The usable charge is the capacity of the pack less the least charge that must remain.
+    A home is the start of the mission or a rally point. The limit holds at each time of the
+    mission: charge drawn so far + charge of the return to the nearest home <= usable charge. The
+    usable charge is the capacity of the pack less the least charge that must remain.
 
     Parameters
     ----------
@@ -174,13 +173,12 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare height, climb and length of a return flight over terrain, for each home and time.
+    """Declare height, climb and length of the return over terrain, for each home and time.
 
-    A home is the start of the mission or a rally point. On the return, the vehicle climbs to a
-    height that clears the ground on the straight way to the home. The vehicle then flies level, and
-    descends at the home. The expression `height_home` is the height of the level flight [m].
-    `climb` is the climb from the vehicle's height to `height_home` [m]. `way_flown` is the length
-    of level flight and descent [m].
+    On the return to a home, the vehicle climbs, flies level, and descends above the home. The
+    expression `height_home` is the least height of the level flight [m]. `climb` is the climb from
+    the vehicle's height to `height_home`, or 0 if the vehicle is higher [m]. `way_flown` is the
+    length of level flight and descent together [m].
 
     Parameters
     ----------

@@ -8,12 +8,13 @@ The module declares the limits of eq. (10) of the paper (Yacef et al.), with two
   efficiency function has no minimum.
 
 The scenario's field `limits.reserve` is a fraction of the largest rotor speed and thrust. A plan
-leaves this fraction to the controller. The reserve is declared only if the fraction is not zero.
+leaves this fraction unused, so that the controller that follows the plan can use it. The reserve is
+declared only if the fraction is not zero.
 
 If the time constant of the motors is not zero, the magnitude of the rotor acceleration is limited
-to (rotor_speed_max - speed) / time constant, where speed is the present rotor speed. This is what a
-motor with a first-order lag can do while its rotor gathers speed. The same limit applies while the
-rotor slows down, as a simplification.
+to (rotor_speed_max - speed) / time constant, where speed is the present rotor speed. This is the
+greatest acceleration of a motor with a first-order lag. As a simplification, the same limit applies
+while the rotor slows down.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -65,10 +66,9 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
     """Return parameter values without the reserve of rotor speed and thrust for the controller.
 
-    The reserve is the fraction `limits.reserve` of the largest rotor speed and thrust. A plan
-    leaves the reserve unused; the controller that flies the plan may use it. `numbers` holds
-    parameter values by full name. The result is a copy of `numbers` in which the reserve is zero.
-    If `numbers` is None or has no reserve, it is returned unchanged.
+    The reserve limits plans only; the controller that flies a plan may use the full rotor speed and
+    thrust. `numbers` holds parameter values by full name. The result is a copy of `numbers` with a
+    reserve of zero. If `numbers` is None or has no reserve, it is returned unchanged.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -102,8 +102,7 @@ def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
     """Return the largest rotor speed [rad/s] or thrust [N] that a plan may use.
 
     `most` is the largest rotor speed or thrust of the vehicle. The result is (1 - reserve) times
-    `most`. The fraction `reserve` is left to the controller that follows the plan. `b` is the block
-    `limits`; without a parameter for the reserve in `b`, the result is `most`.
+    `most`, or `most` if the block has no parameter `reserve`. `b` is the block `limits`.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -127,10 +126,10 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
     """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
 
-    The vehicle's model was validated with measured flights. The limits are the largest airspeed,
-    the fastest climb and the fastest descent. A limit is declared only if the vehicle has a value
-    for it. The scenario requests the limits by `limits.within_validated`. They are added to `b`,
-    the block `limits` of the model `m`.
+    The range is that of the measured flights with which the vehicle's model was validated. The
+    limits are the largest airspeed, the fastest climb and the fastest descent, each declared only
+    if the vehicle has a value for it. The scenario's field `limits.within_validated` requests them.
+    The limits are added to `b`, the block `limits` of the model `m`.
     """
     if b.component("validated_airspeed") is not None:
 

@@ -3,9 +3,9 @@
 A passage is the instant at which the flight is at a waypoint. The time of a passage is a variable
 of the plan.
 
-The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal. The thrust at this speed
-is 0.07 % less than the weight. Here the thrust at start and goal equals the weight exactly: the
-rotor speed omega satisfies 4 kappa_b omega^2 = m g.
+The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal, a speed at which the
+thrust is 0.07 % less than the weight. In this module, the thrust at start and goal equals the
+weight: the rotor speed omega satisfies 4 kappa_b omega^2 = m g.
 """
 
 from collections.abc import Callable, Hashable, Mapping
@@ -102,8 +102,7 @@ def _passed(field: str, scenario: Scenario) -> dict[int, float]:
     """Return the values of one field of the waypoints, such as their largest speeds.
 
     `field` is the name of the field. The keys of the result are the numbers of the waypoints, from
-    0. Waypoints at which the field has its default value are omitted, so that the model declares no
-    parameter for them.
+    0. Waypoints at which the field has its default value need no parameter and are omitted.
     """
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
@@ -171,13 +170,13 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 
 
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
-    """Return the Pyomo variables of the times that a plan chooses, each by its nominal time [s].
+    """Return the Pyomo variables of all times that a plan chooses, by their nominal times [s].
 
-    The chosen times are the duration, if the duration is free, the passage of each waypoint and the
-    end of each hover at a waypoint. Each chosen time has a nominal time: the value that `scenario`
-    prescribes or estimates for it. The nominal time is a member of the time set of the model `m`.
-    Conditions that hold at the chosen time are declared at the nominal time. Keys of the result are
-    the nominal times, values the variables.
+    The plan chooses the passing time of each waypoint, the end of each hover at a waypoint and, if
+    the duration is free, the duration. The time set of the model `m` contains a nominal time for
+    each of these variables: the value that `scenario` prescribes or estimates. Constraints at the
+    chosen time are declared at the nominal time. Keys of the result are the nominal times, values
+    the variables.
     """
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
@@ -191,9 +190,9 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare for each waypoint the time of its passage and the conditions at that time.
 
-    The conditions are on position, heading, speed and the duration of a hover. A waypoint has only
-    the conditions that the scenario sets for this waypoint. Variables and conditions are added to
-    `b`, the block `mission` of the model `m`.
+    The conditions are on position, heading, speed and the duration of a hover. Apart from the
+    position, they are declared only for waypoints for which the scenario sets them. Variables and
+    conditions are added to `b`, the block `mission` of the model `m`.
     """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
@@ -344,10 +343,10 @@ def _declare_end(
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
     """Return two constraints at the goal: yaw has its prescribed value, and body rate r is zero.
 
-    `b` is the block `mission`, which has the constraints. In a mission with constant heading, the
-    constraint `yaw_keeping` keeps the heading along the flight. The two constraints at the goal are
-    then redundant, and the caller deactivates them. The function `start_where_measured` deactivates
-    `yaw_keeping`, and therefore activates the two constraints again.
+    In a mission with constant heading, the constraint `yaw_keeping` makes the two constraints
+    redundant, and they are deactivated. The function `start_where_measured` deactivates
+    `yaw_keeping`, and then activates the two constraints again. `b` is the block `mission`, which
+    has the constraints.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -366,10 +365,10 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace the conditions of a mission at the start by initial values of all states.
 
-    Models for replanning in flight start at the measured values of the states. The new block
-    `start` has a mutable parameter for each state, with the name of the state. A condition equates
-    the initial value of the state to the parameter. The constraint that keeps the heading constant
-    is deactivated, because a gust may have turned the vehicle.
+    Replanning in flight starts at the measured states. The new block `start` has a mutable
+    parameter for each state, with the name of the state. A constraint equates the initial value of
+    the state to the parameter. The constraint that keeps the heading constant is deactivated: if a
+    gust has turned the vehicle, the vehicle must be free to turn back.
 
     Parameters
     ----------
@@ -392,17 +391,17 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare a parameter for a state's measured value, and a condition at the start of the flight.
+    """Declare a parameter for a state's measured value, and an initial condition with this value.
 
-    The condition equates the initial value of the state to the mutable parameter. A state that is
-    also indexed by rotor gets one parameter and one condition per rotor.
+    The parameter is mutable. A state that is also indexed by rotor gets one parameter and one
+    condition per rotor.
 
     Parameters
     ----------
     b : Block
         Block `start`, to which parameter and condition are added.
     start : float
-        Initial time of the flight [s].
+        Start time of the flight [s].
     state : Var
         The state, a Pyomo variable over time.
     """
@@ -423,12 +422,12 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 
 
 def end_in_equilibrium(m: ConcreteModel) -> None:
-    """Replace the level hover at the goal by a steady hover that is tilted against the wind.
+    """Replace the level hover at the goal by a steady hover, tilted against the wind.
 
-    Models for replanning in flight use this end condition. The level hover is not an equilibrium in
-    wind, because the wind accelerates a level vehicle. A planned flight in wind can be level and at
-    rest only for an instant, while its tilt passes through zero. If the actual wind differs from
-    the planned wind, the vehicle is not at rest even at this instant.
+    Models for replanning in flight use this end condition, because the vehicle can stay at the goal
+    in a tilted hover. In a level hover, the wind accelerates the vehicle: a planned flight can be
+    level and at rest for an instant only, and a flight in a slightly different wind misses this
+    instant.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
-"""Building blocks of declared equations: parameters from the scenario, and a smooth `max`.
+"""Building blocks of model equations: parameters from the scenario, and smooth maxima.
 
-A number of a scenario becomes a mutable Pyomo parameter with its unit, so that a re-solve with
-another number needs no rebuild of the model. Replacements for `max` are smooth, so that every
-equation is twice differentiable.
+A number of a scenario becomes a mutable Pyomo parameter with its unit. To solve the model with
+another number, only the value of the parameter is changed. The function max is replaced by smooth
+functions, so that every equation is twice differentiable.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -33,8 +33,8 @@ class Parameter:
     units : Pyomo unit
         Unit of the parameter.
     value : callable
-        Takes a scenario and returns a number, or a mapping from indices to numbers. If it returns
-        None or an empty mapping, the model of that scenario does not have the parameter.
+        Takes a scenario and returns a number, or a mapping from indices to numbers. If the result
+        is None or an empty mapping, the parameter is not declared for this scenario.
     doc : str
         Meaning of the parameter.
     """
@@ -82,10 +82,10 @@ def fields_of(table: str, *names: str, **renamed: str) -> tuple[Parameter, ...]:
 
 
 def parameters_in(block_name: str) -> Callable[[Table], Table]:
-    """Return a decorator that registers a function as the parameter table of a model block.
+    """Return a decorator for the function that declares the parameters of a model block.
 
-    The decorated function takes a scenario and returns the declarations of the parameters in the
-    block `block_name` of the scenario's model.
+    The decorator registers the function under the name of the block, `block_name`. The function
+    takes a scenario and returns the declarations of the block's parameters.
     """
 
     def register(table: Table) -> Table:
@@ -96,10 +96,11 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield the name of each model block that has registered parameters, and its parameters.
+    """Yield the name of each model block with registered parameters, and their declarations.
 
-    Each `Parameter` is a declaration: it states name, unit and meaning of a number in the block.
-    The decorator `parameters_in` registers the function that returns the declarations of a block.
+    A declaration, `Parameter`, states name, unit and meaning of a number in the block. The
+    declarations of a block come from the function that the decorator `parameters_in` has
+    registered.
     """
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))
@@ -109,7 +110,7 @@ def declare_parameters(b: Block, scenario: Scenario) -> None:
     """Add to the model block `b` the mutable Pyomo parameters that are registered under its name.
 
     The decorator `parameters_in` registers the declarations of a block. The parameters get their
-    values from the scenario; a declaration that has no value in the scenario is left out.
+    values from the scenario. A parameter without a value in the scenario is left out.
     """
     add_parameters(b, _TABLES[b.name](scenario), scenario)
 
@@ -117,8 +118,8 @@ def declare_parameters(b: Block, scenario: Scenario) -> None:
 def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> None:
     """Add to the block `b` a mutable Pyomo parameter for each declaration in `table`.
 
-    The parameters get their values from the scenario. A declaration that has no value in the
-    scenario is left out.
+    The parameters get their values from the scenario. A parameter without a value in the scenario
+    is left out.
     """
     for row in table:
         value = row.value(scenario)
@@ -132,14 +133,14 @@ def add_parameters(b: Block, table: Iterable[Parameter], scenario: Scenario) -> 
 def parameter_items(
     block_name: str, table: Iterable[Parameter], scenario: Scenario
 ) -> Iterator[tuple[str, float]]:
-    """Yield the full name and the value of every parameter that a table declares for a scenario.
+    """Yield full name and value of every parameter in a table of declarations, for a scenario.
 
     Parameters
     ----------
     block_name : str
         Name of the block that holds the parameters, as ``"wind.x"``.
     table : iterable of Parameter
-        Declarations; a parameter without a value in the scenario is left out.
+        Declarations. A parameter without a value in the scenario is left out.
     scenario : Scenario
         Source of the values.
 
@@ -166,7 +167,7 @@ def positive_part(value: NumericExpression, width: NumericExpression) -> Numeric
     value : expression
         Any quantity.
     width : expression
-        Half the distance over which the corner at zero is rounded, in the unit of `value`.
+        Half the width over which the kink at zero is rounded, in the unit of `value`.
 
     Returns
     -------
@@ -187,7 +188,7 @@ def floored(
     value, floor : expression
         Quantities of the same unit.
     width : expression
-        Half the distance over which the corner is rounded, as for `positive_part`.
+        Half the width over which the kink is rounded, as for `positive_part`.
 
     Returns
     -------
@@ -205,16 +206,16 @@ DIP = 0.14
 def saturated(
     value: NumericExpression, floor: NumericExpression, width: NumericExpression
 ) -> NumericExpression:
-    """Return a smooth max(value, floor), equal to the value (to rounding) far above the floor.
+    """Return a smooth max(value, floor) that equals the value, up to rounding, far above the floor.
 
     Parameters
     ----------
     value, floor : expression
         Quantities of the same unit.
     width : expression
-        Width of the transition, in the same unit. If the value is ten widths above the floor, the
-        result equals the value to 2e-8 of the width. Near the floor, the result may be less than
-        the floor by 0.14 times the width (the constant `DIP`).
+        Width of the transition, in the same unit. If value = floor + 10 width, the result differs
+        from the value by 2e-8 of the width. Near the floor, the result may fall below the floor by
+        up to 0.14 times the width (the constant `DIP`).
 
     Returns
     -------

@@ -4,8 +4,7 @@ Each model is a function that declares the power of every rotor. The power of a 
 negative while the rotor brakes. Without regeneration (`power.regeneration`), a negative power is
 replaced by zero, with a smooth transition. The energy of the flight is the integral over time of
 the power of all rotors, eq. (8) of the paper (Yacef et al.). The paper prints eq. (8) with a double
-sum: over the rotors and, for each rotor, over the speeds of all rotors. The package uses a single
-sum over the rotors.
+sum: for each rotor, over the speeds of all rotors. The package uses a single sum over the rotors.
 
 Symbols in the table: v, i and tau are voltage, current and torque of a motor. omega is the rotor
 speed, alpha the rotor acceleration. eta is a constant efficiency. f_r is the efficiency of motor
@@ -20,10 +19,10 @@ efficiency | tau omega / f_r(tau, omega) | no | no
 momentum | induced, profile and axial power, in moving air | yes | yes
 
 By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
-`momentum`. The energy balances of these models hold for either direction of the energy flow. In the
-two models with an efficiency, braking returns no energy by default. These models divide the shaft
-power by the efficiency. With regeneration, braking would therefore return more energy than it
-absorbs.
+`momentum`, whose energy balances hold for either direction of the energy flow. In the two models
+with an efficiency, braking returns no energy by default. These models divide the shaft power by the
+efficiency, also while braking. With regeneration, more energy would be returned than the braking
+rotor gives.
 
 Alternating acceleration and braking of the rotors saves no energy, except in the model
 `efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
@@ -45,26 +44,27 @@ P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 
 Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
-into its own wake, the equation has no solution, or three. In descent, a term a v_a^2 is therefore
-added under the root, with a constant a. (The page docs/theory/momentum_power.md calls this constant
-tau; it is not a torque.) With a >= 1/8 there is exactly one solution. The package uses a = 1/7.67.
-The result is compared with the curve that Leishman (2006), eq. (2.96), fits to measurements on
-descending rotors. v_i stays within 0.13 v_h of this curve down to v_a = -0.5 v_h, and within 0.4
-v_h down to v_a = -1.5 v_h. Beyond v_a = -1.66 v_h the air flows upwards through the rotor.
+into its own wake, momentum theory is not valid, and the equation may have three solutions. In
+descent, a term a v_a^2 is therefore added under the root, with a constant a. (The page
+docs/theory/momentum_power.md calls this constant tau; it is not a torque.) With a >= 1/8 there is
+exactly one solution. The package uses a = 1/7.67. The result is compared with the curve that
+Leishman (2006), eq. (2.96), fits to measurements on descending rotors. v_i stays within 0.13 v_h of
+this curve down to v_a = -0.5 v_h, and within 0.4 v_h down to v_a = -1.5 v_h. Beyond v_a = -1.66 v_h
+the air flows upwards through the rotor.
 
 Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with the advance ratio mu =
 v_p / (omega R) and the radius R of a rotor. The model computes P_0 for each rotor, with the thrust
 and disc area of that rotor. In hover, P_0 follows from the thrust alone, so that c_0 is valid for
 any payload and density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
 
-Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which the rotor stores, plus
-the copper loss of the torque I_r alpha.
+Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which becomes kinetic energy of
+the rotor, plus the copper loss due to the torque I_r alpha.
 
 The model is validated with 120 flights of a DJI Matrice 100: payloads of 0 to 0.5 kg, airspeeds to
 16 m/s, climb to 4 m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In
-cruise at 1 to 4 m/s the measured power is some 14 W above this model. An additional peak of the
-induced power, 4 % at about 3 m/s, was fitted but left out: it increased the out-of-sample error
-from 1.86 % to 1.89 %.
+cruise at 1 to 4 m/s the measured power is some 14 W above this model. An additional term, which
+raises the induced power by 4 % at about 3 m/s, was fitted but left out: it increased the
+out-of-sample error from 1.86 % to 1.89 %.
 """
 
 from collections.abc import Callable
@@ -142,18 +142,18 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameter values that smooth the power of a rotor near zero more strongly.
+    """Return parameter values that smooth the kink in a rotor's power at zero more strongly.
 
     Without regeneration, a rotor that brakes returns no energy: its power is max(P, 0). The model
     smooths the kink at P = 0 over the scenario's width `power.smoothing` [W]. A solve with a larger
-    width converges more easily, and its solution is the initial guess for a solve with the next
-    smaller width. Each item of the result sets one larger width; the largest comes first.
+    width converges more easily. Its solution is then the initial guess for a solve with a smaller
+    width. Each item of the result sets one larger width; the largest comes first.
 
     Returns
     -------
     tuple of dict
-        Full name of the model's width parameter to the width [W]. The tuple is empty if
-        regeneration is enabled, because the power then has no kink.
+        Each dictionary maps the full name of the model's width parameter to the width [W]. The
+        tuple is empty if regeneration is enabled, because the power then has no kink.
     """
     if scenario.power.regeneration:
         return ()
@@ -189,9 +189,10 @@ def declare_power(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def declare_error(m: ConcreteModel) -> None:
-    """Multiply the modelled power by 1 + `power.error`, a mutable relative error, initially zero.
+    """Multiply the total power by 1 + `power.error`, where the error is a mutable parameter.
 
-    Simulated flights sample the error to represent an imperfect power model.
+    The error is relative and initially zero. Simulated flights set it to random values that
+    represent an imperfect power model.
 
     Parameters
     ----------
@@ -216,11 +217,11 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Return a decorator that declares a function as the power of each rotor, `power.<name>` [W].
+    """Return a decorator for the Pyomo rule of the power of each rotor, `power.<name>` [W].
 
-    The decorated function is a Pyomo rule: it takes the block `power`, the rotor's number and the
-    time, and returns the power. The decorator adds to the model `m` an expression over rotors and
-    time with this rule. `name` is the name of the expression, `doc` its documentation text.
+    The rule takes the block `power`, the rotor's number and the time, and returns the power. The
+    decorator adds an expression with this rule, over rotors and time, to the model `m`. `name` is
+    the name of the expression, `doc` its documentation text.
     """
 
     def declare(rule: _RotorRule) -> _RotorRule:
@@ -234,10 +235,10 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
     Voltage and current follow from eqs. (2) and (3) of the paper (Yacef et al.). The model is valid
-    at all speeds and torques of the motor. The copper loss grows with the square of the torque, so
-    the power is convex in the rotor acceleration alpha and in thrust. If regeneration is enabled, a
-    braking rotor returns its shaft power less the copper loss in the winding. The rotor has no
-    profile drag, so the hover power is half the power of a real aircraft.
+    at all speeds and torques of the motor. The copper loss grows with the square of the torque. The
+    power is therefore convex in the rotor acceleration alpha and in thrust. If regeneration is
+    enabled, a braking rotor returns its shaft power less the copper loss in the winding. Because
+    the model has no profile drag, its hover power is half the hover power of a real aircraft.
 
     Parameters
     ----------
@@ -263,8 +264,8 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
 
     Motor and converter have no loss. If regeneration is enabled, a braking rotor returns its full
     shaft power. The shaft power is therefore a lower bound of the power in every other model. It is
-    convex in thrust (exponent 3/2). It is linear in the rotor acceleration, so the rotor
-    acceleration needs a bound.
+    convex in thrust (exponent 3/2) and linear in the rotor acceleration. Because of the linearity,
+    the rotor acceleration needs a bound.
 
     Parameters
     ----------
@@ -307,15 +308,15 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
     omega. Its coefficients were recovered from two public re-implementations of the paper's model.
 
-    Below some 780 rad/s, f_r has zeros at moderate braking torque, and the power has poles there.
-    To avoid the poles, the model has two smooth lower limits. The parameter `torque_floor` of block
-    `power` limits the torque at which f_r is evaluated. The parameter `efficiency_floor` limits the
+    Below some 780 rad/s, f_r is zero at moderate braking torques, where the power has poles. To
+    avoid the poles, the model has two smooth lower limits, both parameters of block `power`:
+    `torque_floor` limits the torque at which f_r is evaluated, and `efficiency_floor` limits the
     value of f_r. Without regeneration, braking returns no energy and the power is never negative.
 
-    The power is not convex in the rotor acceleration. Below 858 rad/s, alternating acceleration and
-    coasting takes less energy than steady flight. The bound on the acceleration and the mesh limit
-    how strongly and how fast a plan can alternate. The optimum therefore depends on this bound and
-    on the mesh.
+    The power is not convex in the rotor acceleration. Below 858 rad/s, a rotor that alternates
+    between acceleration and coasting takes less energy than a rotor at constant speed. The bound on
+    the rotor acceleration limits the amplitude of the alternation, and the mesh limits its
+    frequency. The optimum therefore depends on this bound and on the mesh.
 
     Parameters
     ----------
@@ -360,9 +361,9 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 
     The motor's torque includes dry and viscous friction. The current follows from this torque, and
     the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
-    convex in the rotor acceleration, but not in thrust. At small thrust, the slope of the power
-    over the thrust decreases as the thrust increases. The friction is the cause. The published
-    friction constants seem ten times too high: hover takes 1.3 kW.
+    convex in the rotor acceleration. It is not convex in thrust: because of the friction, it is
+    concave in thrust at small thrust. The published friction constants seem ten times too high:
+    with them, hover takes 1.3 kW.
 
     Parameters
     ----------

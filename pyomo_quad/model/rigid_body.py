@@ -14,9 +14,9 @@ phi', theta', psi' | p, q, r | rad/s | body rates (the paper equates them to the
 - `paper` has the equations of Yacef et al. The Euler rates equal the body rates, correct to first
   order in the tilt. The yaw balance omits the reaction to the rotors' acceleration.
 
-The gyroscopic terms of the rotors follow eq. (6). Eq. (9) prints these terms with another sign and
-another order of derivative. As in eq. (6), the force balances are not divided by the mass, and the
-moment balances are not divided by the moments of inertia.
+The gyroscopic terms of the rotors follow eq. (6); eq. (9) prints them with another sign and another
+order of derivative. The balances have the form of eq. (6): mass times acceleration equals the
+forces, and moment of inertia times angular acceleration equals the moments.
 """
 
 from collections.abc import Callable
@@ -106,7 +106,7 @@ def _straight_line(start: float, goal: float, duration: float) -> Callable[[Bloc
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
-    """Return a Pyomo rule for the initial guess of one coordinate of the position [m].
+    """Return a Pyomo rule for the initial guess of one position coordinate over time [m].
 
     The guess is linear in time between start, waypoints and goal, and constant during a hover at a
     waypoint. `axis` is 0, 1 or 2 for x, y or z.
@@ -155,10 +155,10 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
 
 
 def turning(b: Block, t: float) -> NumericExpression:
-    """Return the rate of the yaw angle times cos(pitch), from the body rates [rad/s].
+    """Return dpsi/dt cos(theta) [rad/s], for the yaw angle psi and the pitch angle theta.
 
-    The result is q sin(phi) + r cos(phi). A mission with constant heading limits its magnitude.
-    `b` is the block `rigid_body`, and `t` the time in flight [s].
+    In terms of the body rates, the result is q sin(phi) + r cos(phi). A mission with constant
+    heading limits its magnitude. `b` is the block `rigid_body`, and `t` the time in flight [s].
     """
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
@@ -232,10 +232,10 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 
 
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
-    """Return the moment of rotors and air about a body axis [N m].
+    """Return the moment of rotors and aerodynamic forces about a body axis [N m].
 
-    The rotors act by their thrust and drag torque. The air acts by rotor drag and translational
-    lift, if the vehicle has coefficients for these forces.
+    The moment of the rotors comes from their thrust and drag torque. The aerodynamic moment comes
+    from rotor drag and translational lift, if the vehicle has these forces.
 
     Parameters
     ----------
@@ -294,9 +294,9 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
     """Declare the moment balance about body z.
 
-    If `attitude` is "euler", the balance includes the yaw moment by which accelerating rotors turn
-    the body. The paper (Yacef et al.) omits this moment. The balance is added to `b`, the block
-    `rigid_body` of the model `m`.
+    If `attitude` is "euler", the balance includes the reaction moment of accelerating rotors on the
+    body, which the paper (Yacef et al.) omits. The balance is added to `b`, the block `rigid_body`
+    of the model `m`.
     """
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"

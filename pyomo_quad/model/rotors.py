@@ -30,12 +30,16 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the model parameters for positions and directions of rotation of the rotors.
 
-    A standard cross of four rotors needs neither positions nor directions of rotation: eq. (7) of
-    Yacef et al. contains the geometry of the cross. Any other rotor layout needs both. Rotor drag
-    and translational lift depend on the airspeed at each rotor. A vehicle with these forces
-    therefore needs the positions, even if it is a standard cross. The result is empty for a
-    standard cross without these forces. Each `Parameter` of the result states name, unit and
-    meaning of a number, and how its value follows from a scenario.
+    The result depends on the rotor layout:
+
+    - For a standard cross of four rotors, the result is usually empty, because eq. (7) of Yacef et
+      al. contains the geometry of the cross.
+    - For a standard cross with rotor drag or translational lift, the result has the positions,
+      because these forces depend on the airspeed at each rotor.
+    - For any other layout, the result has the positions and the directions of rotation.
+
+    Each `Parameter` states name, unit and meaning of a number, and how its value follows from a
+    scenario.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -109,8 +113,8 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
 
     Speeds are states and accelerations are controls. The mixer gives the total thrust [N], the
     moments about the body axes [N m] and the speed imbalance [rad/s]. The speed imbalance is the
-    sum of the rotor speeds, each with the sign of its direction of rotation; the gyroscopic moments
-    are proportional to this sum.
+    sum of the rotor speeds, each with the sign of its direction of rotation. The gyroscopic moments
+    are proportional to the speed imbalance.
 
     Parameters
     ----------
@@ -178,11 +182,11 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
     """Declare thrust and moments for any planar rotor layout.
 
-    Thrust and moments are sums over the rotors, from the position and the direction of rotation of
-    each rotor. The function also declares the speed imbalance: the sum of the rotor speeds, each
-    with the sign of its direction of rotation. All are expressions over time in `b`, the block
-    `rotors` of the model `m`. Eq. (7) of Yacef et al., for a standard cross of four rotors, is a
-    special case.
+    Thrust and moments are sums over the rotors. They depend on the position and the direction of
+    rotation of each rotor. The function also declares the speed imbalance: the sum of the rotor
+    speeds, each with the sign of its direction of rotation. All are expressions over time in `b`,
+    the block `rotors` of the model `m`. For a standard cross of four rotors, they equal eq. (7) of
+    Yacef et al.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

@@ -24,7 +24,7 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Severity of a finding, the result of a check of a model or scenario.
+    """Severity of a finding. A finding is the result of a check of a model or scenario.
 
     - `IMPOSSIBLE`: no flight can satisfy the model or scenario.
     - `UNPHYSICAL`: numbers of the vehicle contradict physics.
@@ -67,7 +67,7 @@ class _Interval:
     Attributes
     ----------
     source : str
-        The declaration as messages name it: "bounds of NAME" for the bounds of a variable, or
+        The declaration, in words for messages: "bounds of NAME" for the bounds of a variable, or
         the name of a constraint.
     lower, upper : float
         Ends of the interval, infinite where there is no limit.
@@ -165,11 +165,11 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 
 
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
-    """Return the intervals of values that declarations permit, by the name of the variable.
+    """Return the intervals of values that a model permits for each variable, by its name.
 
-    The declarations are the bounds of the variables of `model` and its linear inequality
-    constraints with a single variable. A variable has one interval for each declaration that limits
-    it. Intervals without a common value show that the declarations contradict each other.
+    The bounds of a variable of `model` give one interval. Each linear inequality constraint with
+    this variable alone gives a further interval. If the intervals of a variable have no common
+    value, the limits contradict each other.
     """
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
@@ -191,9 +191,9 @@ def _bounds(data: VarData) -> _Interval:
 
 
 def _single_variable(constraint: ConstraintData) -> tuple[VarData, _Interval] | None:
-    """Return the variable and the allowed interval of a constraint that limits a single variable.
+    """Return the single variable of a linear constraint, and the interval that it permits.
 
-    The result is None if the constraint is nonlinear or has several variables.
+    For a constraint that is nonlinear or has several variables, the result is None.
     """
     body = generate_standard_repn(constraint.body, quadratic=False)
     if len(body.linear_vars) != 1 or body.nonlinear_expr is not None:
@@ -286,17 +286,18 @@ def _span(interval: _Interval) -> str:
 class ModelInspection:
     """Numbers of variables and equations of a continuous model, and its unit errors.
 
-    Variables, equations and inequalities over time are counted at one time inside the flight.
+    A variable or constraint over time is counted once, and not for each time.
 
     Attributes
     ----------
     states, other_variables : tuple of str
-        Names of the states, and of all other functions of time (controls and algebraic variables).
+        Names of the states, and names of the other variables over time (controls and algebraic
+        variables).
     equations, path_limits : int
-        Number of equations, and number of inequalities, that hold at each time in flight.
+        Number of equality constraints over time, and number of inequality constraints over time.
     boundary_conditions, parameters : int
-        Number of active constraints that hold at single times, and number of parameters that do not
-        depend on time.
+        Number of active constraints at single times, and number of parameters that are constant in
+        time.
     unit_errors : tuple of str
         One line for each component with inconsistent units.
     """

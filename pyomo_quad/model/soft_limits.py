@@ -1,8 +1,8 @@
 """Soft limits: limits and end conditions that a flight may violate at a penalty.
 
-Replanning in flight uses soft limits: a plan must exist even if the measured state already violates
-a limit. The physical limits of rotors (speed, acceleration, thrust, moments) and pack (greatest
-power) stay hard.
+Replanning in flight uses soft limits, so that a plan exists even if the measured state already
+violates a limit. The physical limits of rotors (speed, acceleration, thrust, moments) and pack
+(greatest power) stay hard.
 
 symbol | name | unit | meaning
 s_k | most[k] | unit of limit k | largest violation of limit k over time
@@ -11,8 +11,8 @@ rho | price | J/unit | penalty per unit of violation
 
 A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0. A condition h = c becomes h = c +
 s+ - s-. The objective grows by rho times the sum of all s, s+ and s-. The softened problem always
-has a solution, because some flight within the limits of rotors and pack always exists. If rho is
-large enough, all violations are zero wherever a flight without violation exists; see
+has a solution, because the hard limits of rotors and pack always permit some flight. If rho is
+large enough and a flight without violation exists, all violations are zero; see
 docs/theory/soft_limits.md.
 """
 
@@ -77,8 +77,8 @@ def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
     A violation of one unit (such as 1 m) costs the energy that lifts the vehicle by 300 m. This
-    penalty exceeds the Lagrange multipliers of most limits. If the penalty exceeds the multipliers
-    of all limits, a plan violates a limit only if no flight can keep all limits.
+    penalty exceeds the Lagrange multipliers of most limits. If it exceeds the multipliers of all
+    limits, the penalty is exact: a plan keeps all limits whenever this is possible.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
@@ -123,9 +123,9 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 def _soften_limit(b: Block, limit: Constraint) -> None:
     """Replace a path constraint by a soft constraint for each of its bounds, lower and upper.
 
-    A soft constraint may be violated at a penalty. A single variable holds the largest violation
-    over time. `limit` is the path constraint; it is deactivated. `b` is the block `soft`, which
-    already has the variable of the violation and receives the soft constraints.
+    `limit` is the path constraint; it is deactivated. The soft constraints are added to `b`, the
+    block `soft`. This block already has the variable `most`, the largest violation over time, which
+    both soft constraints use.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)
@@ -157,9 +157,9 @@ def _soften_limit(b: Block, limit: Constraint) -> None:
 def _soften_condition(b: Block, condition: Constraint) -> None:
     """Replace an equality constraint at one time by a soft constraint.
 
-    A violation upwards or downwards is allowed at a penalty. `condition` is the equality
-    constraint; it is deactivated. `b` is the block `soft`, which already has the variables of the
-    violations and receives the soft constraint.
+    `condition` is the equality constraint; it is deactivated. The soft constraint is added to `b`,
+    the block `soft`. This block already has the variables `above` and `below`, the violations
+    upwards and downwards.
     """
     held = [index for index in condition if condition[index].active]
 

@@ -16,17 +16,18 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
     xi_1' = -a xi_1 + sqrt(a) n,  xi_2' = a (xi_1 - xi_2),
                                           v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
 
-MIL-HDBK-1797 defines L_v and L_w as half of the lengths in MIL-F-8785C, and writes 2 L in place of
-L in the filters of v and w. At low altitude the two specifications therefore give the same spectra.
+MIL-HDBK-1797 defines L_v and L_w as half of the lengths in MIL-F-8785C, but has 2 L in place of L
+in the filters of v and w. At low altitude, the two specifications therefore give the same spectra.
 
-V is the airspeed, with the lower limit sigma_u. The reason for the limit is that the filters treat
-gusts as frozen (Taylor's hypothesis). But a gust changes by itself in a time of about L / sigma
-(Tennekes and Lumley, 1972, section 1.5). The hypothesis holds only if the vehicle crosses the gust
-in less time, L / V < L / sigma, that is, only for V > sigma.
+V is the airspeed, with the lower limit sigma_u. The reason for the limit: the filters treat gusts
+as frozen (Taylor's hypothesis), but a gust changes in a time of about L / sigma (Tennekes and
+Lumley, 1972, section 1.5). The vehicle crosses a gust in the time L / V. The hypothesis holds only
+if L / V < L / sigma, that is, if V > sigma.
 
-The axes of the gusts are horizontal and vertical, as in the specification at low altitude. They
-keep the direction of the mission's mean relative wind: axes along the airspeed would turn the gusts
-whenever the vehicle turns. Turbulence acts on simulated flights only; no plan includes turbulence.
+The axes of the gusts are horizontal and vertical, as in the specification at low altitude. One
+horizontal axis has the constant direction of the mission's mean relative wind. Axes along the
+present airspeed would turn the gusts whenever the vehicle turns. Turbulence acts on simulated
+flights only; plans are made without turbulence.
 """
 
 from collections.abc import Callable, Sequence
@@ -83,7 +84,7 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 def _mean_direction(scenario: Scenario) -> float:
     """Return the direction of the mean airflow over the vehicle, counter-clockwise from x [rad].
 
-    The airflow is the mean wind less the mean velocity from start to goal.
+    The mean airflow is the mean wind minus the mean velocity of the flight from start to goal.
     """
     mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)[:2]
@@ -183,10 +184,9 @@ def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
     """Return the time derivative [1/s] of the state xi_2 of a Dryden shaping filter.
 
-    The filter turns white noise into transverse gusts. Its two dimensionless states are xi_1, and
-    xi_2, which lags xi_1. `rate` is a = V / L [1/s], where V is the speed at which the
-    vehicle crosses the gusts, and L is the length scale of the turbulence. `state` is xi_1, and
-    `lag` is xi_2.
+    The filter turns white noise into transverse gusts. It has two dimensionless states: `state` is
+    xi_1, and `lag` is xi_2, which lags xi_1. `rate` is a = V / L [1/s], where V is the speed at
+    which the vehicle crosses the gusts, and L is the length scale of the turbulence.
     """
     return rate * (state - lag)
 
@@ -195,14 +195,15 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     """Add Dryden turbulence and an error of the wind forecast to the wind of a model.
 
     The wind velocity along each world axis becomes the sum of mean wind and gust. Along the
-    horizontal axes, the error of the forecast [m/s] is added, too: a mutable parameter with the
-    initial value zero. The gusts are declared in block `wind.turbulence`.
+    horizontal axes, the forecast error `wind.error` [m/s] is added, too, a mutable parameter with
+    the initial value zero. The gusts are declared in block `wind.turbulence`.
 
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and, in block `wind`, the mean wind. No
-        equation may refer to the wind yet, because its Pyomo expressions are replaced.
+        Model that already declares `time`, `rigid_body` and, in block `wind`, the mean wind. Call
+        this function before declaring any equation that refers to the wind, because the Pyomo
+        expressions of the wind are replaced.
     scenario : Scenario
         Scenario whose table ``wind.turbulence`` gives the intensity of the turbulence.
     """
@@ -225,10 +226,9 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
     """Declare height, standard deviations, crossing speed and rates V / L of the filters.
 
-    The height is the vehicle's height above the ground, limited to the range for which the
-    specification holds. The crossing speed V is the speed at which the vehicle crosses the frozen
-    gusts, and L a length scale of the turbulence. All are expressions over time in `b`, the block
-    `wind.turbulence` of the model `m`.
+    The height is the vehicle's height above the ground, clipped to the range for which the
+    specification holds. V is the crossing speed, and L a length scale of the turbulence. All are
+    expressions over time in `b`, the block `wind.turbulence` of the model `m`.
     """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
@@ -269,7 +269,7 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
 def _declare_filters(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the states, the white noise and the differential equations of the filters.
 
-    The seed of the scenario determines the values with which the states are initialised. All are
+    The initial values of the states are random, from the seed of the scenario. All components are
     added to `b`, the block `wind.turbulence` of the model `m`.
     """
     begun = Gusts.of(scenario).start
@@ -365,8 +365,8 @@ class Gusts:
     Parameters
     ----------
     seed : int or sequence of int
-        Seed of `numpy.random.default_rng`. For a flight of an ensemble: the seed of the ensemble
-        and the number of the flight.
+        Seed of `numpy.random.default_rng`. For a flight of an ensemble, the seed consists of the
+        seed of the ensemble and the number of the flight.
     """
 
     def __init__(self, seed: int | Sequence[int]) -> None:
@@ -374,7 +374,7 @@ class Gusts:
 
     @classmethod
     def of(cls, scenario: Scenario) -> "Gusts":
-        """Return the turbulence of a single simulated flight, from the seed in the scenario.
+        """Return the turbulence of a single simulated flight, with the scenario's seed.
 
         The seed is 0 for a scenario without turbulence.
         """
@@ -396,8 +396,8 @@ class Gusts:
     def noise(self, duration: float) -> FloatArray:
         """Return the white noise of a flight, constant over time steps of length `NOISE_STEP` [s].
 
-        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, two flights of different
-        duration have the same noise until the shorter flight ends.
+        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, flights of different
+        duration have the same noise as long as both last.
 
         Parameters
         ----------

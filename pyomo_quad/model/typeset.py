@@ -1,4 +1,4 @@
-"""The declared equations as LaTeX, in the symbols of Yacef et al., from the Pyomo model."""
+"""Conversion of the equations in a Pyomo model to LaTeX, in the symbols of Yacef et al."""
 
 import tomllib
 from collections.abc import Hashable, Iterator
@@ -108,7 +108,7 @@ def _component(component: IndexedComponent, time: ContinuousSet, instant: float)
 
 
 def _index(data: ComponentData) -> tuple[Hashable, ...]:
-    """Return the index of a member of a Pyomo component as a tuple, without the time.
+    """Return the index of a member of a Pyomo component as a tuple, with the time removed.
 
     For ``x[i, t]`` with the time t, the result is (i,).
     """
@@ -125,8 +125,8 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 class _Writer:
     """Writer of Pyomo expressions as LaTeX.
 
-    If `has_free_index` is true, the expressions are those of rotor 1 and stand for every rotor: the
-    writer replaces the index 1 by j.
+    If `has_free_index` is true, the given expressions are those of rotor 1. The writer replaces the
+    index 1 by j, so that the LaTeX text holds for every rotor.
     """
 
     def __init__(self, *, has_free_index: bool) -> None:
@@ -264,14 +264,14 @@ def _number(number: float) -> str:
 
 
 def _is_single_term(node: NumericValue) -> bool:
-    """Return whether an expression is not a sum, and needs no parentheses after a minus sign."""
+    """Return whether an expression is a single term, which a minus sign can precede directly."""
     return type(node) in native_numeric_types or not isinstance(node, numeric_expr.SumExpression)
 
 
 def _is_unit(node: NumericValue) -> bool:
-    """Return whether a factor is a unit, or an expression of units whose value is one.
+    """Return whether a factor is a Pyomo unit, or a product of units with the value 1.
 
-    Typeset equations leave such a factor out.
+    Typeset equations leave this factor out.
     """
     if isinstance(node, _PyomoUnit):
         return True

@@ -62,8 +62,9 @@ def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the vehicle's parameters and the releases of payloads in block `vehicle`.
 
-    The release of a payload at a waypoint is a parameter over time, `is_left`: 1 after the vehicle
-    has left the waypoint, and 0 before. `is_left` is declared only if a payload is released.
+    The parameter `is_left` represents the release of a payload at a waypoint over time: it is 0
+    until the vehicle leaves the waypoint, and 1 afterwards. `is_left` is declared only if a payload
+    is released.
 
     Parameters
     ----------
@@ -92,9 +93,10 @@ def _loads(scenario: Scenario) -> tuple[int, ...]:
 
 
 def mass_at(m: ConcreteModel, t: float) -> NumericExpression:
-    """Return the mass of vehicle and payload at a time, less the payloads released before [kg].
+    """Return the mass of vehicle and payload at a time in flight [kg].
 
-    `m` is the mission's model, and `t` the time in flight [s].
+    Payloads that have been released before this time are subtracted. `m` is the mission's model,
+    and `t` the time in flight [s].
     """
     b = m.vehicle
     if b.component("released") is None:

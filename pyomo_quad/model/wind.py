@@ -16,18 +16,18 @@ logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), sect
 h is the vehicle's height above the ground. Over flat ground, h is z. Over terrain, h is the height
 over a smooth surface that is nowhere below the ground (see `model.ground`).
 
-Both laws are valid only above a lowest height: 0.1 m or z_0, whichever is larger. Below the lowest
-height, the wind is constant. To this end, both laws use a smooth maximum of h and the lowest height
-in place of h. The smooth maximum increases with h. From half a metre above the lowest height
-upwards, it equals h to 1e-12 m.
+Both laws are valid only above a lowest height: max(0.1 m, z_0). Below the lowest height, the wind
+is constant: in place of h, both laws use a smooth maximum of h and the lowest height. The smooth
+maximum increases with h. If h is at least half a metre above the lowest height, it equals h to
+1e-12 m.
 
 A wind measured over heights is a cubic spline through the measurements. Below the lowest and above
 the highest measurement the wind is constant, with a smooth transition. The heights of the
-measurements are heights above the ground. In a wind field, heights are coordinates z.
+measurements are heights above the ground. (In a wind field, however, heights are coordinates z.)
 
 A wind measured over time is a cubic spline in the wind time through the measurements. After the
-last measurement the wind is constant. The wind is twice differentiable at any time, so that the
-plan may choose the duration and the times at which waypoints are passed.
+last measurement the wind is constant. The wind is twice differentiable with respect to time. The
+duration and the passing times of waypoints may therefore be variables of the optimisation.
 
 A wind that varies from place to place is declared in `wind_field`.
 
@@ -109,8 +109,8 @@ def _least_height(wind: Wind) -> float:
     """Return the lowest height above ground at which the wind of a scenario is defined [m].
 
     For a wind measured over heights, the result is the lowest of the measured heights. For a wind
-    profile, the result is 0.1 m or the roughness length, whichever is larger: the logarithmic law
-    is not valid below the roughness length.
+    profile, the result is max(0.1 m, roughness length), because the logarithmic law is not valid
+    below the roughness length.
     """
     if wind.profile is not None:
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
@@ -119,7 +119,7 @@ def _least_height(wind: Wind) -> float:
 
 @parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `wind`, which depend on the kind of wind of the scenario.
+    """Return the parameters of block `wind`, which depend on the scenario's kind of wind.
 
     Each `Parameter` states name, unit and meaning of a number, such as the exponent of a wind
     profile, and how its value follows from a scenario.
@@ -178,7 +178,7 @@ def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of eqs. (11) and (12) of Yacef et al. along the world axis `name`.
 
     The parameters are the mean, the harmonics and the gust of one component of the wind. The result
-    is empty for a wind from a file.
+    is empty if the wind comes from a file.
     """
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
@@ -210,8 +210,8 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, an empty block `wind`, and `clock`, the
-        time in flight as a Pyomo parameter that equations can contain.
+        Model that already declares `time`, `rigid_body`, an empty block `wind`, and `clock`. The
+        parameter `clock` is the time in flight, in a form that equations can contain.
     scenario : Scenario
         Holds the wind: the formula of eqs. (11) and (12) of Yacef et al., a table of measurements
         over time, height or both, or a field over places.
@@ -289,8 +289,9 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
     """Return the wind at the vehicle's height [m/s].
 
-    `velocity` is the wind at the reference height of the wind profile [m/s]. Without a profile, the
-    result is `velocity`. `b` is the block `wind`, and `t` the time in flight [s].
+    `velocity` is the wind at the reference height of the wind profile [m/s]. Without a wind
+    profile, the result is `velocity` itself. `b` is the block `wind`, and `t` the time in flight
+    [s].
     """
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity
@@ -300,12 +301,11 @@ def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
     A full name is a name such as "wind.x.mean". The result has every mutable parameter of block
-    `wind` that is a speed. The value is zero; for a parameter over time, the value is a function of
-    time that returns zero. Parameters that a user has added to the block are included. `m` is the
-    mission's model.
+    `wind` that is a speed, including parameters that a user has added. Its value is zero or, for a
+    parameter over time, a function of time that returns zero. `m` is the mission's model.
 
-    A wind whose equations contain no mutable parameter that is a speed cannot be set to zero in
-    this way. The returned values leave such a wind as it is.
+    A wind without a mutable parameter that is a speed, for example a user's own wind with constant
+    numbers, keeps its speed.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -419,7 +419,7 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 
 
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
-    """Declare the basis functions of the spline over height for a wind measured at some heights.
+    """Declare the basis functions of the spline over height, for a wind measured at some heights.
 
     The cubic not-a-knot spline is a weighted sum of the basis functions. Below the lowest and above
     the highest measured height, the spline is constant. The transition to the constant value is
@@ -458,7 +458,7 @@ def _shares(heights: FloatArray) -> FloatArray:
 
 
 def _shapes(heights: FloatArray) -> FloatArray:
-    """Return the matrix of the values of the spline's basis functions at the measured heights.
+    """Return the values of the spline's basis functions at the measured heights, as a matrix.
 
     `heights` [m] are the heights at which the wind was measured. The matrix has one row per height
     and one column per basis function. The matrix serves to compute the coefficients of the cubic
@@ -472,9 +472,9 @@ def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic spline in height.
 
     `shares` are the heights at which the wind was measured, scaled to the range from 0 to 1. Each
-    function of the result takes a scaled height h. The functions are 1, h, h^2 and h^3, and
-    max(h - k, 0)^3 for each inner knot k of the spline. For three heights, h^3 is left out; for two
-    heights, h^2 is left out, too.
+    function of the result takes a scaled height h. The functions are 1, h, h^2, h^3, and max(h - k,
+    0)^3 for each inner knot k of the spline. For three heights, they are 1, h and h^2; for two
+    heights, 1 and h.
     """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
@@ -504,8 +504,8 @@ class _OverTime:
     The speed is the wind along one axis. The cubic spline over time passes through the measured
     speeds. After the last measurement, the speed is constant, with a smooth transition.
 
-    A wind measured over time and height is a spline over height. Each coefficient of this spline
-    depends on time. For such a wind, the class represents one coefficient instead of a speed.
+    A wind measured over time and height is a spline over height with coefficients that depend on
+    time. For this wind, an object of the class is one coefficient instead of a speed.
 
     Parameters
     ----------
@@ -514,8 +514,8 @@ class _OverTime:
     speeds : ndarray
         Wind speed, or coefficient of the spline over height, at each of these times [m/s].
     scenario : Scenario
-        Gives the time in the measurement at which the flight starts, and the longest duration of
-        the flight.
+        Scenario with the start of the flight on the time axis of the measurements, and with the
+        longest duration of the flight.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
@@ -532,8 +532,8 @@ class _OverTime:
     def rule(self, _b: Block, t: Any) -> Any:
         """Return the wind speed at a time in flight [m/s], as a Pyomo rule.
 
-        The result is a number if `t` is a number, and a Pyomo expression if `t` is a symbol. It
-        has no Pyomo unit. The block `_b` is not used.
+        If `t` is a number, the result is a number; if `t` is a Pyomo expression, so is the result.
+        The result has no Pyomo unit. The block `_b` is not used.
         """
         if isinstance(t, int | float):
             return float(self._spline(self._until(t, self._end)))
@@ -546,8 +546,8 @@ class _OverTime:
     def _table(self) -> Table:
         """Spline through the part of the measurement that a flight of variable duration may reach.
 
-        All other measurements are left out, because the cost of an evaluation grows with their
-        number; the omitted measurements are too far away in time to affect the flight.
+        Measurements far away in time are left out: their effect on the flight is below rounding,
+        and the cost of an evaluation grows with the number of measurements.
         """
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

@@ -7,16 +7,16 @@ x, y, z, t | - | m, s | place of the vehicle, and time on the time axis of the w
 Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
 values on the grid. The class `collocation.Table` evaluates this product. The component is twice
 differentiable with exact derivatives, and the cost of an evaluation does not grow with the grid.
-Along an axis of two or three points, the component is the line or parabola through the values. Grid
-points without wind, such as points inside a building, get the wind of the nearest point with wind,
-because a spline needs a value everywhere.
+Along an axis of two points, the component is a line through the values; along an axis of three
+points, a parabola. A spline needs a value at every grid point. Grid points without wind, such as
+points inside a building, therefore get the wind of the nearest point with wind.
 
 The scenario's field `wind.beyond` selects what happens where the field has no wind.
 
-With "refuse", the default, flights are permitted only where the wind is known. The module
-`model.airspace` keeps flights inside the grid. Outside of the grid the values of the spline have no
-meaning, but could seem favourable to the optimisation. A flight is also refused if it passes a
-place whose nearest grid point has no wind. The function `unknown_wind` writes the message.
+With "refuse", the default, flights are permitted only where the wind is known. The constraints of
+the module `model.airspace` keep flights inside the grid, because the spline has no meaning outside.
+A flight is also refused if it passes a place whose nearest grid point has no wind. The function
+`unknown_wind` writes the message.
 
 With "hold", the nearest known wind is used, and flights may leave the grid. Outside of the grid the
 wind of the border blows, because the vehicle's place is clipped smoothly to the grid. Inside of the
@@ -60,8 +60,9 @@ _PASSING_STEPS = 0.02
 def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
-    If the magnitude of `number` exceeds a few times `width`, the result equals max(number, 0) to
-    rounding. The function `parameters.positive_part` approaches the exact maximum more slowly.
+    If the magnitude of `number` exceeds a few times `width`, the result equals max(number, 0), up
+    to rounding. The function `parameters.positive_part` reaches this accuracy only at a much
+    greater distance from zero.
     """
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
@@ -74,8 +75,8 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     ----------
     m : ConcreteModel
         Model that already declares `time` and `rigid_body`. Its block `wind` already declares
-        `wind_time`, the time on the time axis of the wind data [s]. The block also declares the
-        factor `field_unit` [m/s], by which the splines are multiplied.
+        `wind_time`, the time on the time axis of the wind data [s], and the factor `field_unit`
+        [m/s], by which the splines are multiplied.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
@@ -134,7 +135,7 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     """Return the axes of a wind field's grid and the wind on it, prepared for a cubic spline.
 
     `grid` is the grid of the field. A grid point without wind gets the wind of the nearest point
-    with wind, and an axis with fewer than four points is resampled at four points.
+    with wind. An axis with fewer than four points is resampled at four points.
 
     Returns
     -------
@@ -166,12 +167,11 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 def wind_corners(scenario: Scenario) -> FloatArray:
     """Return corners of a polyhedron that contains the wind of a field at every place and time.
 
-    The polyhedron lies in the space of wind velocities. In each cell of the grid the spline through
-    the wind is a polynomial of degree three along every axis. The values of the polynomial lie in
-    the convex hull of its control points (Bernstein coefficients). A cell is left out if none of
-    its corners has wind, because no flight may enter such a cell. If the scenario's field
-    `wind.beyond` is "hold", flights may enter all cells, and no cell is left out. See
-    docs/theory/bound.md, eq. (21).
+    The polyhedron lies in the space of wind velocities. In each cell of the grid, the wind is a
+    polynomial of degree three along every axis. Its values lie in the convex hull of its control
+    points (Bernstein coefficients). The polyhedron contains the control points of all cells that
+    flights may enter: with the scenario's field `wind.beyond` = "hold" all cells, otherwise the
+    cells with wind at one corner or more. See docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -182,9 +182,9 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     -------
     ndarray, shape (n, 3)
         Wind components along x, y and z [m/s] at the n corners. The polyhedron is a prism. Its base
-        is an octagon that contains the horizontal components of all control points. The directions
-        of the octagon's sides are fixed and equally spaced; the octagon is the smallest with these
-        directions. Along z, the prism extends from the least to the greatest vertical component.
+        is the smallest octagon, with sides of fixed and equally spaced directions, that contains
+        the horizontal components of all control points. Along z, the prism extends from the least
+        to the greatest vertical component.
 
     Raises
     ------
@@ -211,10 +211,11 @@ def wind_corners(scenario: Scenario) -> FloatArray:
 def _controlled(
     scenario: Scenario,
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
-    """Return axes and control points of a wind field, and whether each point's cell may be entered.
+    """Return axes and control points of a wind field, and which points are in permitted cells.
 
-    In each cell of the grid the wind is a polynomial. The wind lies in the convex hull of the
-    polynomial's control points (Bernstein coefficients). `scenario` must have a wind field.
+    In each cell of the grid, the wind is a polynomial, whose values lie in the convex hull of its
+    control points (Bernstein coefficients). A cell is permitted if flights may enter it. `scenario`
+    must have a wind field.
 
     Returns
     -------
@@ -241,16 +242,16 @@ def _controlled(
 
 @dataclass(frozen=True, kw_only=True)
 class ColumnWinds:
-    """Bounds of the horizontal wind in vertical columns, one over each cell of a field's grid.
+    """Bounds of the horizontal wind in each vertical column of a wind field's grid.
 
     Attributes
     ----------
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
-        Edges of the cells [m].
+        Edges of the columns [m].
     low, high : ndarray, shape (2, nx, ny)
         Lower and upper bounds of the wind in each column [m/s]. Index 0 is the wind along x, index
-        1 the wind along y. The bounds hold at all times and at all heights that a flight may enter.
-        In a column that no flight may enter, `low` is inf and `high` is -inf.
+        1 the wind along y. The bounds hold at all times and heights of the grid cells that a flight
+        may enter. In a column that no flight may enter, `low` is inf and `high` is -inf.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """
@@ -263,11 +264,12 @@ class ColumnWinds:
 
 
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
-    """Return bounds of the horizontal wind in the vertical column over each cell of a field's grid.
+    """Return bounds of the horizontal wind in each vertical column of a wind field's grid.
 
-    In each cell of the grid, the spline through the wind is a polynomial. The polynomial lies in
-    the convex hull of its control points (Bernstein coefficients). The bounds of a column are the
-    least and the greatest control point in its cells. Cells that no flight may enter are left out.
+    A column consists of all cells of the grid at one horizontal position. In each cell, the wind is
+    a polynomial, whose values lie in the convex hull of its control points (Bernstein
+    coefficients). The bounds of a column are the least and the greatest control point in its cells.
+    Cells that no flight may enter are left out.
 
     Parameters
     ----------
@@ -302,10 +304,10 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
     """Return the control points (Bernstein coefficients) of the cubic spline through `values`.
 
     The spline runs along the first array axis of `values`, at the coordinates `axis`. A cell is the
-    interval between two neighbouring coordinates. With the values v_0 and v_1 and the slopes s_0
-    and s_1 at the ends of a cell of width w, the four control points of the cell are v_0,
-    v_0 + w s_0 / 3, v_1 - w s_1 / 3 and v_1. The first array axis of the result holds the control
-    points of all cells, one cell after another.
+    interval between two neighbouring coordinates. At the ends of a cell of width w, let the spline
+    have the values v_0 and v_1 and the slopes s_0 and s_1. The four control points of the cell are
+    then v_0, v_0 + w s_0 / 3, v_1 - w s_1 / 3 and v_1. The first array axis of the result holds the
+    control points of all cells, one cell after another.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for fields alone
 
@@ -325,8 +327,9 @@ def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
     """Return for each control point of a wind field whether the wind is known near it.
 
     The wind is known near a control point if at least one corner of the point's cell has a value in
-    `grid`. `shape` is the shape of the array of control points. Its first item is the number of
-    wind components. The other items are four times the number of cells along each axis of the grid.
+    `grid`. `shape` is the shape of the array of control points: the number of wind components, and
+    four times the number of cells along each axis of the grid. The result has the shape of a
+    component.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):

@@ -1,8 +1,8 @@
-"""The two experiments of Yacef et al. as missions, flown optimally and under adaptive control.
+"""The two experiments of Yacef et al.: optimal flights, and flights under adaptive control.
 
 One of the power models of these flights divides the shaft power by f_r, the efficiency of motor and
-rotor in the paper of Yacef et al. f_r is a polynomial of torque and speed. The paper does not print
-the polynomial; its coefficients were recovered from public re-implementations.
+rotor in the paper of Yacef et al. f_r is a polynomial of torque and speed. Its coefficients were
+recovered from public re-implementations, because the paper does not print them.
 """
 
 from collections.abc import Mapping
@@ -39,7 +39,7 @@ _NAMED = {1: ("paper_calm", "calm"), 2: ("paper_wind", "paper_table_2")}
 
 
 class Experiment(IntEnum):
-    """Experiments of Yacef et al., section IV: the same flight in calm air and in wind."""
+    """Experiment of Yacef et al., section IV: a flight in calm air, or the same flight in wind."""
 
     CALM = 1
     WIND = 2
@@ -101,7 +101,7 @@ class BaselineFlight:
 
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
-    """List the settings of the flights under the adaptive controller in the report on Yacef et al.
+    """List the settings of the report's flights under the adaptive controller.
 
     Parameters
     ----------
@@ -134,8 +134,8 @@ def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
     The power is computed with f_r, the efficiency of motor and rotor of Yacef et al. The report
-    compares the result with the energy that Yacef et al. print for adaptive control. A flight can
-    take more energy than the result only if its rotors accelerate and brake all the time.
+    compares the result with the energy that Yacef et al. print for adaptive control. To take still
+    more energy, a flight would have to accelerate and brake its rotors all the time.
 
     Parameters
     ----------
@@ -165,8 +165,9 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 class FlightCase:
     """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
-    Their paper leaves open how the wind acts, in which unit the frequencies of the wind are, and
-    which battery is meant. An object of this class makes a choice for each of these questions.
+    The paper of Yacef et al. leaves open how the wind acts, in which unit the frequencies of the
+    wind are, and which battery is meant. An object of this class has one choice for each of these
+    questions.
     """
 
     experiment: Experiment
@@ -204,13 +205,15 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Outcome of planning the flight. With the efficiency f_r of Yacef et al., the solve may end
-        without convergence, and the flight is not proven optimal. `flight.is_verified` is true if a
-        simulation of the planned controls confirms the flight, with or without convergence.
+        Status of the solve. With the efficiency f_r of Yacef et al., the solve may end without
+        convergence; the optimality of the flight is then unproven. Independently of the
+        convergence, `flight.is_verified` is true if a simulation of the planned controls confirms
+        the flight.
     hover_energy_J : float
         Energy of a hover of equal duration, under the power model of the flight [J].
     end_prices : mapping
-        Costates at the end of the plan, by state; empty if the solve found no optimum.
+        Costates at the end of the plan, by the name of the state; empty if the solve found no
+        optimum.
     """
 
     case: FlightCase
@@ -221,9 +224,10 @@ class PaperFlight:
 
 
 def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of both experiments of Yacef et al., once with each of five power models.
+    """List the settings of both experiments of Yacef et al. with each of five power models.
 
-    The power models are all of the package except `momentum`, which needs the rotor radius.
+    The power models are all models of the package except `momentum`. This model needs the rotor
+    radius, which the paper does not give.
 
     Parameters
     ----------
@@ -237,7 +241,7 @@ def flight_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of the flight in calm air, once with each of two batteries.
+    """List the settings of the flight in calm air with each of two batteries.
 
     The first battery is the pack of the vehicle's maker. The second is the cell of Yacef et al.
 
@@ -251,7 +255,7 @@ def battery_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 
 
 def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
-    """List the settings of the flight in wind, once with each of four interpretations of the wind.
+    """List the settings of the flight in wind with each of four interpretations of the wind.
 
     The wind acts either as an acceleration or by drag, and its frequencies are either in rad/s or
     in Hz. The four combinations are the four interpretations.
@@ -296,11 +300,11 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, together with the result of a simulation of the plan's controls.
+    """Return the flight of a plan, with the result of a simulation of the plan's controls.
 
-    `plan` is the result of the planner. The planner simulates the controls only if the solve has
-    converged. If not, this function simulates the controls. The report can therefore show a flight
-    even if no optimum was found.
+    `plan` is the result of the planner, which simulates the controls if the solve has converged.
+    Otherwise, this function simulates them, so that the report can show a flight even if no optimum
+    was found.
     """
     if plan.verification is not None:
         return plan.flight()

@@ -38,10 +38,9 @@ _HEADROOM = 0.6  # space above the energy of hovering [kJ]
 def draw_floors(study: PaperStudy) -> Figure:
     """Draw the least energy of any flight against the bound on the rotor acceleration.
 
-    The bound is an upper bound on the absolute rotor acceleration. The energy is computed with the
-    efficiency f_r of motor and rotor of Yacef et al. There is one curve for each interpretation of
-    f_r: with lower limits on torque and efficiency (regularised), and as the bare polynomial
-    (literal).
+    The bound is an upper bound on the absolute rotor acceleration. The energy is computed with f_r,
+    the efficiency of motor and rotor of Yacef et al. One curve is computed with lower limits on
+    torque and efficiency (regularised f_r), and one curve with the bare polynomial (literal f_r).
 
     Parameters
     ----------
@@ -85,8 +84,8 @@ _MOTION_FIGURES = {Experiment.CALM: (3, 4), Experiment.WIND: (5, 6)}
 def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
     """Return the report's figures that are counterparts of figures 1 to 7 of Yacef et al.
 
-    `study` has the results that the figures show. Each `Drawing` of the result has name, title and
-    caption of a figure, and the function that draws the figure.
+    `study` has the results that the figures show. A `Drawing` has name, title and caption of a
+    figure, and the function that draws the figure.
     """
     return (
         *_power(study),
@@ -97,7 +96,7 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 
 
 def floor_drawing(study: PaperStudy) -> Drawing:
-    """Return the figure of the least energy of any flight against the rotor acceleration's bound.
+    """Return the figure of the least energy of any flight against the bound on rotor acceleration.
 
     The energy is computed with f_r, the efficiency of motor and rotor of Yacef et al. The bound is
     an upper bound on the absolute rotor acceleration. `study` has the results that the figure

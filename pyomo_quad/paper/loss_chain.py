@@ -1,8 +1,9 @@
 """Counterpart of figure 1 of Yacef et al.: chain of losses of a flight, and map of f_r.
 
-The chain leads from the battery over resistances and windings to the rotors. f_r is the efficiency
-of motor and rotor in the paper of Yacef et al. The map shows f_r over rotor speed and torque, with
-the speeds and torques of the flight.
+The chain of losses follows the energy from the battery, through the battery's resistance and the
+windings of the motors, to the rotors. f_r is the efficiency of motor and rotor in the paper of
+Yacef et al. The map shows f_r over rotor speed and torque, with the speeds and torques of the
+flight.
 """
 
 from dataclasses import dataclass
@@ -45,7 +46,7 @@ class EnergyChain:
         Loss in the motors' windings, and energy supplied to the rotors.
     constant_product : float
         Torque constant k_t times speed constant k_v of a motor: 1 for a motor that conserves
-        energy, larger for a motor that would create energy.
+        energy, greater than 1 for a motor that would create energy.
     """
 
     drawn: float
@@ -57,11 +58,12 @@ class EnergyChain:
 
     @property
     def created(self) -> float:
-        """Shaft energy in excess of the electrical energy that leaves the motors' windings [J].
+        """Shaft energy minus the electrical energy that passes the motors' windings [J].
 
-        This energy is not physical. Yacef et al. print a torque constant k_t of the motor that
-        exceeds 1/k_v, where k_v is the printed speed constant (speed over voltage). The shaft power
-        (torque times speed) therefore exceeds the electromotive force times the current.
+        The difference is zero for a real motor, whose torque constant k_t and speed constant k_v
+        (speed over voltage) have the product 1. The constants that Yacef et al. print have a
+        product greater than 1. The shaft power (torque times speed) then exceeds the electromotive
+        force times the current, which is not physical.
         """
         return self.shaft - self.passed
 
@@ -72,7 +74,7 @@ class EnergyChain:
 
 
 def energy_chain(flown: PaperFlight) -> EnergyChain:
-    """Integrate the losses of a flight from the battery over the windings to the rotors.
+    """Integrate the energy losses of a flight over time, from the battery to the rotors.
 
     Parameters
     ----------
@@ -117,8 +119,8 @@ def draw_loss_chain(
 ) -> Figure:
     """Draw the chain of losses of a flight, and below it the flight on the efficiency map.
 
-    The chain leads from the battery over resistances and windings to the rotors. The map shows f_r,
-    the efficiency of motor and rotor of Yacef et al., over rotor speed and torque.
+    The map shows f_r, the efficiency of motor and rotor of Yacef et al., over rotor speed and
+    torque.
 
     Parameters
     ----------
@@ -129,8 +131,8 @@ def draw_loss_chain(
     flown : PaperFlight
         The flight.
     bound : float
-        Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²]. A line on
-        the map shows the torques at this braking.
+        Weakest braking at which f_r is zero, as an absolute rotor acceleration [rad/s²]. A line on
+        the map shows the torques at this acceleration.
     """
     figure = Figure(figsize=(FULL_WIDTH, 5.4))
     _draw_chain(figure.add_axes((0.36, 0.735, 0.6, 0.225)), chain)
@@ -162,9 +164,10 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw a flight's energies along its chain of losses as bars, with the losses between the bars.
+    """Draw the energies of a flight as bars, with the losses between the bars.
 
-    The chain leads from the battery over resistances and windings to the rotors.
+    `chain` has the energies and losses, from the battery to the rotors. The bars are drawn on
+    `axes`.
     """
     lowest = min(chain.passed, chain.shaft)
     margin = _CHAIN_MARGIN * (chain.drawn - lowest)

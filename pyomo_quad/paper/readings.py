@@ -1,8 +1,9 @@
-"""Interpretations of the efficiency f_r of Yacef et al., and solves with each on fixed meshes.
+"""Two interpretations of the efficiency f_r of Yacef et al., and solves with each of them.
 
-f_r is the efficiency of motor and rotor. The paper of Yacef et al. does not print f_r; here f_r is
-a polynomial recovered from public re-implementations. The polynomial is zero at some braking
-torques. If the rotors may reach such a torque, the problem with the bare polynomial has no minimum.
+f_r is the efficiency of motor and rotor. It is a polynomial, which the paper of Yacef et al. does
+not print, and which was recovered from public re-implementations. The polynomial is zero at some
+braking torques. If the rotors may reach these torques, the optimal control problem with the bare
+polynomial has no minimum. The solves are made on fixed meshes, which are not refined.
 """
 
 from dataclasses import dataclass
@@ -29,11 +30,11 @@ _NO_FLOOR = -1e3
 
 
 class Reading(StrEnum):
-    """Interpretation of the efficiency f_r of Yacef et al. where f_r is small or negative.
+    """Interpretation of the efficiency f_r of Yacef et al., where f_r is small or negative.
 
-    f_r is the efficiency of motor and rotor, a polynomial. `REGULARISED` limits torque and
-    efficiency from below, and braking returns no energy. `LITERAL` uses the bare polynomial, and
-    braking returns energy.
+    f_r is the efficiency of motor and rotor, a polynomial of torque and speed. `REGULARISED` has
+    lower limits on torque and efficiency, and braking returns no energy. `LITERAL` has the bare
+    polynomial, and braking returns energy.
     """
 
     REGULARISED = "regularised"
@@ -65,8 +66,8 @@ class Reading(StrEnum):
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's Pyomo model without the battery.
 
-    The energy does not depend on the battery. The battery is left out because its current is
-    undefined for some values of f_r, the efficiency of motor and rotor of Yacef et al.
+    For some values of f_r, the efficiency of motor and rotor of Yacef et al., the current of the
+    battery is undefined. The battery can be left out because the energy is independent of it.
     """
     m = build_model(scenario)
     m.del_component(m.battery)
@@ -76,8 +77,9 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The usual model of the package limits
-    torque and efficiency from below. This model has neither of the two limits, and no battery.
+    f_r is the efficiency of motor and rotor of Yacef et al. The usual model of the package has
+    lower limits on torque and efficiency, and a battery. This model is without these limits and
+    without a battery.
 
     Parameters
     ----------
@@ -211,8 +213,9 @@ def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[floa
     """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
 
     f_r is the efficiency of motor and rotor of Yacef et al. The power under f_r is infinite where
-    f_r is zero. Therefore the simulation uses the motors' electrical power, which is always finite.
-    The choice of the power does not change the motion.
+    f_r is zero. The simulation therefore uses another power model, the motors' electrical power,
+    which is always finite. The motion is the same under each power model. The energy under f_r is
+    computed from the simulated motion.
 
     Parameters
     ----------
@@ -226,7 +229,7 @@ def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[floa
     Returns
     -------
     tuple of float
-        Energy [J], NaN if f_r reaches zero, and distance from the goal at the end [m].
+        Energy [J] (NaN if f_r reaches zero in flight), and distance from the goal at the end [m].
     """
     # The motion is independent of the power model; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})

@@ -1,4 +1,4 @@
-"""Report on the paper of Yacef et al.: results that are reproduced or not, with the reasons."""
+"""Report on the paper of Yacef et al.: which results are reproduced, and why others are not."""
 
 import json
 from collections.abc import Iterator
@@ -29,9 +29,9 @@ _THROUGH_DRAG = {"wind.coupling": WindCoupling.DRAG}
 
 
 class Tolerance(NamedTuple):
-    """Greatest relative difference at which a recomputed table of the report counts as reproduced.
+    """Largest relative difference permitted between a recomputed table and the original table.
 
-    The study may be repeated, for example on another machine. Its tables are then compared with the
+    When the study is repeated, for example on another machine, its tables are compared with the
     tables in the repository.
 
     Attributes
@@ -106,11 +106,11 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 def _equations() -> Iterator[dict[str, Any]]:
     """Yield the model's equations for the flight in wind, typeset in groups for the report.
 
-    Each group belongs to one variant of the model: a power model, or an effect of the wind. A group
-    contains only equations that no earlier group contains.
+    Each group belongs to one variant of the model: a power model, or a way in which the wind acts.
+    Each equation is listed once, in the first group to which it belongs.
 
-    Each dict describes one group. `title` is a heading or None. `power` is a power model or None.
-    `equations` is a list of `TypesetEquation`, which hold LaTeX.
+    Each dict describes one group. `title` is its heading or None, `power` its power model or None,
+    and `equations` a list of `TypesetEquation`, which hold LaTeX.
     """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
@@ -174,12 +174,12 @@ def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the rotor-acceleration bound that yields the energy printed by Yacef et al. [rad/s²].
 
     The least energy of any flight depends on the upper bound on the absolute rotor acceleration.
-    This function finds the bound for which the least energy equals the energy that Yacef et al.
-    print for their optimal flight. `study` holds the least energy for several bounds. The result is
-    interpolated between these bounds.
+    With the returned bound, the least energy equals the energy that Yacef et al. print for their
+    optimal flight. The result is interpolated from `study`, which holds the least energy for
+    several bounds.
 
-    The least energies are computed with the efficiency f_r of motor and rotor of Yacef et al. as a
-    bare polynomial, without the lower limits on torque and efficiency that the package adds.
+    The power is computed with f_r, the efficiency of motor and rotor of Yacef et al., without the
+    lower limits on torque and efficiency that the package usually adds.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -196,7 +196,7 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     study : PaperStudy
         Results of the study.
     experiment : Experiment
-        Experiment of the paper that the numbers belong to.
+        Experiment of the paper for which the numbers are returned.
 
     Returns
     -------
@@ -205,9 +205,10 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
         - the energy [J] and the saving [percent] that the paper prints;
         - the energy of hovering [J];
-        - the energy of the adaptive controller along a smooth reference trajectory [J];
-        - the energy of the adaptive controller along a reference that jumps to the goal [J], or
-          along the smooth reference if the study has no jump;
+        - the energy of a flight under the adaptive controller along a smooth reference trajectory
+          [J];
+        - the energy of a flight under this controller along a reference that jumps to the goal [J],
+          or along the smooth reference if the study has no flight with a jump;
         - the energy of all rotors at full speed [J];
         - the mean power that the printed energy implies [W];
         - the greatest power that any battery of the study can supply [W].
@@ -233,11 +234,11 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Compare the energies of an experiment's optimal flight and controlled flight, for the report.
+    """Compare the energies of the optimal and the controlled flight of an experiment.
 
-    The controlled flight is the flight of the adaptive controller along a smooth reference
-    trajectory. The saving is the energy by which the optimal flight is cheaper. f_r is the
-    efficiency of motor and rotor in the paper of Yacef et al.
+    The controlled flight is flown by the adaptive controller along a smooth reference trajectory.
+    The saving is (controlled - optimal) / controlled energy. f_r is the efficiency of motor and
+    rotor in the paper of Yacef et al.
 
     Parameters
     ----------
@@ -250,8 +251,8 @@ def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     -------
     dict
         Row of the report's table of comparisons, computed with the motors' electrical power: value
-        of each column by its name. One more item, `by_efficiency_percent`, is the saving [percent]
-        computed with f_r instead.
+        of each column by its name. The additional item `by_efficiency_percent` is the saving
+        [percent] computed with f_r.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

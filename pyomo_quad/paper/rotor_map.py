@@ -3,9 +3,9 @@
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the
 equations of the Pyomo model.
 
-The least energy is a lower bound (floor) on the energy of every flight. The bound includes flights
-whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering"). The mean
-power of chattering rotors is at least the convex envelope of the power. The report's template
+The least energy is a lower bound (floor) on the energy of every flight. The bound also holds for
+"chattering" flights, whose rotors alternate arbitrarily fast between speeds and accelerations:
+their mean power is at least the convex envelope of the power. The report's template
 `examination.md.j2` gives the derivation.
 """
 
@@ -95,22 +95,22 @@ def rotor_map(
 
 
 def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
-    """Return the convex envelope (greatest convex lower bound) of sampled functions at one place.
+    """Return the value of the convex envelope (greatest convex lower bound) of sampled functions.
 
     Parameters
     ----------
     x : ndarray, shape (k,)
-        Sample places, ascending.
+        Arguments of the samples, ascending.
     y : ndarray, shape (..., k)
         Values of one or more functions.
     at : float
-        Place between the ends of x.
+        Argument at which the envelope is evaluated, between the ends of x.
 
     Returns
     -------
     ndarray, shape (...)
-        Value of the convex envelope of each function at `at`: the least value at this place among
-        all chords (straight lines) between two samples.
+        Value of the convex envelope of each function at `at`. It is the least value at `at` of all
+        chords (straight lines) between two samples.
     """
     left, right = x <= at, x >= at
     width = x[right][None, :] - x[left][:, None]
@@ -138,8 +138,8 @@ def chattering_floors(
     -------
     ndarray, shape (len(bounds), 2)
         First column: upper bound on the absolute rotor acceleration [rad/s²]. Second column: lower
-        bound on the energy of any flight whose rotor acceleration keeps the upper bound [J]. The
-        energy is minus infinity if f_r reaches zero at a permitted acceleration.
+        bound on the energy of any flight within this upper bound [J]. The lower bound is minus
+        infinity if f_r reaches zero at a permitted acceleration.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -157,7 +157,7 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
     """Compute a lower bound on the energy of any flight whose rotor acceleration is bounded.
 
     The lower bound holds even for flights whose rotors alternate arbitrarily fast between speeds
-    and accelerations. f_r is the efficiency of motor and rotor of Yacef et al.
+    and accelerations.
 
     Parameters
     ----------
@@ -186,19 +186,19 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. The energy of
-    flights has no minimum if the rotors may brake harder than at the returned acceleration.
+    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. If the rotors
+    may brake harder than with the returned acceleration, the energy of flights has no minimum.
 
     Parameters
     ----------
     samples : int, optional
-        Number of samples of the speed, and of the acceleration.
+        Number of sampled speeds, and number of sampled accelerations.
 
     Returns
     -------
     bound, speed : float
-        Smallest absolute rotor acceleration of braking at which f_r is zero [rad/s²], and the rotor
-        speed at which f_r is then zero [rad/s].
+        Weakest braking at which f_r is zero, as an absolute rotor acceleration [rad/s²], and the
+        rotor speed at which f_r is zero with this braking [rad/s].
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
@@ -213,8 +213,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
     """Return the weakest braking at which a sampled efficiency of the rotor is zero [rad/s²].
 
-    The result is a negative rotor acceleration, because the rotor brakes. The result is minus
-    infinity if the efficiency is positive at all samples.
+    The result is a rotor acceleration, negative because the rotor brakes. It is minus infinity if
+    the efficiency is positive at all samples.
 
     Parameters
     ----------
@@ -256,8 +256,8 @@ class EfficiencyMap:
 def sample_efficiency_map() -> EfficiencyMap:
     """Sample the efficiency f_r of Yacef et al. over rotor speed and torque, for a figure.
 
-    f_r is the efficiency of motor and rotor, a polynomial of rotor speed and torque. Their paper
-    does not print this polynomial; it was recovered from public re-implementations.
+    f_r is the efficiency of motor and rotor, a polynomial of rotor speed and torque. The polynomial
+    was recovered from public re-implementations of the paper.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)

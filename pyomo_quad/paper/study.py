@@ -48,10 +48,10 @@ class PackFacts:
     power_model : PowerModel
         Power model with which the power of hovering is computed.
     stored_energy_J : float
-        Energy that the battery stores: the open-circuit voltage integrated over the charge, from a
-        full battery down to 1 % of its charge.
+        Energy that the battery stores: integral of the open-circuit voltage over the charge, from a
+        full battery to 1 % of the charge.
     hover_energy_J, hover_power_W : float
-        Energy of hovering for the duration of the mission, and power of hovering.
+        Energy of a hover of the mission's duration, and power of this hover.
     greatest_power_W : float
         Greatest power that the pack can supply.
     shortfalls : tuple of str
@@ -131,12 +131,12 @@ class PaperStudy:
     packs : tuple of PackFacts
         Energy and power of the batteries, compared with hovering.
     floors : dict
-        Array for each interpretation of f_r: limited from below, or the bare polynomial. The array
-        has two columns: an upper bound on the absolute rotor acceleration [rad/s²], and the least
-        energy of any flight within the bound [J].
+        Array for each of the two interpretations of f_r: limited from below, and the bare
+        polynomial. The array has two columns: an upper bound on the absolute rotor acceleration
+        [rad/s²], and the least energy of any flight within this bound [J].
     critical_acceleration, critical_speed : float
-        Smallest deceleration of a rotor with which f_r reaches zero at some rotor speed, as a
-        positive number [rad/s²], and this rotor speed [rad/s].
+        Weakest braking of a rotor at which f_r reaches zero, as an absolute rotor acceleration
+        [rad/s²], and the rotor speed at which this occurs [rad/s].
     efficiency_map : EfficiencyMap
         f_r over rotor speed and torque.
     trials : tuple of TrialOutcome
@@ -173,8 +173,8 @@ def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> Pape
     is_quick : bool, optional
         Whether to use coarse meshes, and fewer of them.
     step : callable, optional
-        Function that shows the progress, called after each result. Its arguments are the name of
-        the result, the number of results so far and the number of all results.
+        Function that shows the progress. It is called after each result with the name of the
+        result, the number of results so far and the number of all results.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)

@@ -42,8 +42,8 @@ _PRINTED_HOVER_SPEED = 912.0  # rad/s, section IV
 def implied_wind_optimum() -> float:
     """Return the energy [J] of the optimal flight in wind, as implied by the paper's saving.
 
-    Yacef et al. do not print this energy. They print the energy under the adaptive controller, and
-    the saving relative to the controller's energy.
+    Yacef et al. print the energy under the adaptive controller, and the relative saving of the
+    optimal flight. The result is energy * (1 - saving).
     """
     return ADAPTIVE_ENERGY[2] * (1 - SAVING[2] / 100)
 
@@ -72,7 +72,8 @@ def _used(values: dict[str, object], field: str) -> float:
 def corrections(study: PaperStudy) -> dict[str, Any]:
     """Return the numbers with which the report shows errors and gaps in the paper of Yacef et al.
 
-    An example is the shortfall of the thrust at the rotor speed that the paper prints for hover.
+    An example is the thrust at the rotor speed that the paper prints for hover: it is less than the
+    weight.
 
     Parameters
     ----------
@@ -134,7 +135,7 @@ def kilojoules(energy: float, digits: int = 3) -> str:
 def metres(distance: float) -> str:
     """Format a distance from the goal [m] as text in m.
 
-    Distances of 0.01 m or more have two decimals, smaller distances two significant digits.
+    Distances of 0.01 m or more have two decimals. Smaller distances have two significant digits.
     """
     return fixed(distance) if distance >= _SMALLEST_PLAIN else rough(distance)
 
@@ -251,18 +252,18 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 
 
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
-    """Return the table row that compares a flight under the adaptive controller with the optimum.
+    """Return the table row that compares an adaptive controller's flight with the optimum.
 
     The optimum is the plan of the same experiment under the same power model.
 
-    The controlled flight does not end exactly at the goal. The costates of the plan give an
-    estimate of the energy that is still needed to reach the exact goal state. The compared energy
-    is the energy of the controlled flight plus the estimate. The estimate is added only if the
-    controlled flight ends near the goal and nearly at rest, and the solve of the plan converged.
+    The controlled flight misses the exact goal state. The costates of the plan give an estimate of
+    the energy that is still needed to reach it. The compared energy is the energy of the controlled
+    flight plus this estimate. The estimate is added only if the flight ends near the goal and
+    nearly at rest, and the solve of the plan converged.
 
-    The saving is the compared energy less the energy of the plan. One column gives the saving in
-    percent of the compared energy. Another column gives the saving in percent of the excess: the
-    compared energy less the energy of hovering.
+    With the compared energy E, the energy E_min of the plan and the energy E_hover of hovering, one
+    column of the row is the saving 100 (E - E_min) / E, and another column is the saving of the
+    excess, 100 (E - E_min) / (E - E_hover).
 
     Parameters
     ----------

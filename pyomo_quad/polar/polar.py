@@ -4,8 +4,8 @@ Each point of the polar is a trim: the attitude and the rotor speeds that keep t
 flight at one airspeed. The equations of the scenario's model give the trim and its power P.
 
 In a wind, the velocity through the air is the velocity over ground minus the wind. At ground speed
-g, the energy per metre over ground is P / g. The time of flight may have a price c [W]: a second of
-flight then counts like an additional energy of c * 1 s. The cost per metre is then (P + c) / g.
+g, the energy per metre over ground is P / g. The time of flight may have a price c [J/s = W]. Each
+second of flight then adds c joules to the cost, and the cost per metre is (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence
@@ -97,7 +97,8 @@ class SteadyCurve:
     ) -> "GroundSpeed":
         """Return the ground speed with the least energy per metre on a course in a wind.
 
-        If the flight time has a price, the price is added to the energy.
+        The energy per metre is power / ground speed. If the flight time has a price, the best
+        ground speed minimises (power + price) / ground speed instead.
 
         Parameters
         ----------
@@ -107,7 +108,7 @@ class SteadyCurve:
             Angle between the course and the direction to which the wind blows [rad]; 0 is a tail
             wind.
         price_of_time : float, optional
-            Price of the flight time, as energy per second of flight [W]; it is added to the power.
+            Price of the flight time, as energy per second of flight [W]; 0 for no price.
 
         Returns
         -------
@@ -137,10 +138,10 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument at which a cost function of one variable, such as a speed, is least.
+    """Return the argument that minimises a function of one variable, such as cost over speed.
 
-    `trials` are arguments of the function in ascending order. A bounded search between the two
-    neighbours of the best trial refines the best trial.
+    `trials` are arguments of the function in ascending order. The function first finds the best
+    trial. A bounded search between the two neighbours of the best trial then gives the result.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
@@ -194,12 +195,13 @@ class Polar:
         Curve of each payload, the scenario's own payload first.
     winds : DataFrame
         One row for each wind speed [m/s] and each angle [deg] between the course and the direction
-        to which the wind blows: best ground speed and airspeed [m/s], power [W], energy per metre
-        over ground [J/m], and range [m]. The best ground speed has the least energy per metre.
+        to which the wind blows. The further columns are best ground speed and airspeed [m/s], power
+        [W], energy per metre over ground [J/m], and range [m]. The best ground speed has the least
+        energy per metre.
     reach : DataFrame
-        One row for each course [deg]: ground speeds out and back [m/s], and the greatest distance
-        [m] at which the vehicle can turn back and still reach the start on the same battery charge.
-        The wind is the scenario's mean wind.
+        One row for each course [deg]: ground speed on the way out and on the way back [m/s], and
+        greatest distance [m] from which the vehicle returns to the start on the same battery
+        charge. The wind is the scenario's mean wind.
     wind_m_s, wind_towards_rad : float
         Speed of the mean wind, and direction to which the wind blows, counter-clockwise from x.
     depth : float
@@ -265,7 +267,8 @@ def find_polar(scenario: Scenario) -> Polar:
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
     """Compute power and endurance of level flight at airspeeds in equal steps from 0.
 
-    The last airspeed is the greatest below 40 m/s at which rotors and tilt keep their limits.
+    The airspeeds end where the thrust, a rotor speed or the tilt would exceed its limit, and at 40
+    m/s at the latest.
 
     Parameters
     ----------

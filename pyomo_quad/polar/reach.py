@@ -1,16 +1,16 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level at the height of the start. Its ground speed is the speed of least
-energy per metre in the local wind. Over terrain the vehicle climbs where needed to keep the floor
-of the airspace, the least height above ground. The vehicle does not descend on the way out, and
-returns at the heights of the way out. A climb takes charge but brings no progress.
+energy per metre in the local wind. The floor of the airspace is the least allowed height above
+ground. Over rising terrain the vehicle climbs to keep the floor. After a climb it stays at the new
+height, and it returns at the heights of the way out. A climb takes charge but brings no progress.
 
 The usable battery charge is the charge from the full battery to the least state of charge that the
 scenario allows. The range is the distance [m] that the vehicle flies on the usable charge in the
 local wind. Each metre of flight takes the fraction 1 / range of the usable charge. On each course,
-the boundary of the reach is where these fractions add up to 1. The sum includes climbs, and also
-the way back if the vehicle returns. The boundary does not extend beyond the terrain or the wind
-field. Keep-out zones are ignored.
+the sum of these fractions grows with the distance from the start. The boundary of the reach is
+where the sum is 1. The sum includes climbs and, if the vehicle returns, the way back. The boundary
+ends at the edge of the terrain or wind field. Keep-out zones are ignored.
 """
 
 import json
@@ -64,8 +64,8 @@ class Reach:
         Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
         One row for each course: course [deg from x, counter-clockwise], and distance and position
-        of the boundary [m]. A further column tells whether the boundary is the end of the wind
-        field or of the terrain. At such a boundary, usable charge is left.
+        of the boundary [m]. A further column tells whether the boundary is the edge of the wind
+        field or of the terrain. On such a course, the vehicle could fly farther.
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
@@ -118,7 +118,7 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 
 
 def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> FloatArray:
-    """Return the least heights at which the vehicle clears the ground without ever descending.
+    """Return the least heights at which a vehicle that never descends clears the ground.
 
     Parameters
     ----------
@@ -132,8 +132,8 @@ def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> Flo
     Returns
     -------
     ndarray, shape (n_courses, n_steps)
-        Height z at each distance on each course [m]. No height is below the start, or closer to the
-        ground than the floor of the airspace permits.
+        Height z at each distance on each course [m]. The vehicle begins at the height of the start,
+        climbs where the floor of the airspace requires, and never descends.
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
     found = np.full((len(headings), along.size), start[2])
@@ -163,7 +163,7 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
 
     The usable charge is the charge from the full battery to the least state of charge that the
     scenario allows. The charge of a climb is its duration times the battery current. Without
-    terrain the result is 0, because the vehicle then stays at the height of the start.
+    terrain the result is 0, because the flight is then level.
 
     Parameters
     ----------
@@ -204,7 +204,7 @@ def _shares(
     courses : ndarray, shape (n_courses, 1)
         Courses from x, counter-clockwise [rad].
     has_return : bool
-        Whether the fraction includes the flight back over the metre.
+        Whether the fraction includes the flight back over the same metre.
 
     Returns
     -------
@@ -231,8 +231,8 @@ def _share_per_metre(
     curve : SteadyCurve
         Power and endurance over airspeed.
     winds : ndarray
-        Wind speeds for which the function will be called [m/s]. Only the least and the greatest
-        wind speed matter: the function interpolates in a table between these two.
+        Wind speeds for which the function will be called [m/s]. The function interpolates in a
+        table that spans the least to the greatest of them.
 
     Returns
     -------
@@ -271,7 +271,7 @@ def _boundary_on(
 
     The vehicle flies until the usable battery charge is spent: the charge from the full battery to
     the least state of charge that the scenario allows. If `share` includes the way back, the charge
-    also suffices for the way back. The distance ends earlier where wind or ground are not known.
+    covers both ways. The flight ends earlier at the first place where wind or ground is not known.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def _boundary_on(
     -------
     dict
         Row of the table `Reach.boundary`: course [deg], distance [m], x and y of the place at this
-        distance [m], and whether the distance ends where wind or ground are not known.
+        distance [m], and whether the flight ends because wind or ground is not known there.
     """
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])

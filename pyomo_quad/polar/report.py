@@ -74,8 +74,8 @@ def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the main results of a polar as a dictionary for `summary.json`.
 
     The results hold the best speeds, powers, range and endurance with the scenario's own payload.
-    On each course there is a farthest place from which the vehicle can return on the same battery
-    charge. The results also hold the distance of this place on the worst and on the best course.
+    The results also hold the reach on the worst and on the best course. The reach on a course is
+    the greatest distance from which the vehicle returns to the start on the same battery charge.
     """
     facts = _facts(polar.own)
     best = facts.pop("best")

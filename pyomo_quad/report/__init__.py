@@ -17,7 +17,7 @@ class Figures(StrEnum):
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """File endings in which each figure is written; the report shows the first file.
+        """File endings of the files of each figure; the report shows the first file.
 
         For example ``("svg", "png")`` for `ALL`; empty for `NONE`.
         """

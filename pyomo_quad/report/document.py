@@ -37,7 +37,8 @@ class Drawing:
     draw : callable
         Function without arguments that draws and returns the matplotlib Figure.
     needs : tuple of str
-        Columns of a flight's table that the figure shows. Without them the figure is left out.
+        Columns of a flight's table that the figure shows. If one is missing, the figure is left
+        out.
     formats : tuple of str
         File endings in which the figure is written.
     """
@@ -58,8 +59,8 @@ class Drawing:
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
     """Return the figures of a report, with the file formats in which they are to be written.
 
-    The result has a copy of each item of `drawings`, whose attribute `formats` is set as `figures`
-    requests. The result is empty for `Figures.NONE`.
+    The result holds a copy of each item of `drawings`. The attribute `formats` of the copy is
+    ``figures.formats``. The result is empty for `Figures.NONE`.
 
     Parameters
     ----------
@@ -100,7 +101,7 @@ def write_study(
     summary : mapping, optional
         Content of `summary.json`; without it no such file is written.
     drawings : iterable of Drawing, optional
-        The figures, in the order of the report. The iterable is not used for `Figures.NONE`.
+        The figures, in the order of the report. For `Figures.NONE` they are ignored.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     name : str, optional
@@ -152,8 +153,8 @@ def write_page(
     is_good : bool
         Whether the box with the report's main result has the colour of a success.
     views : mapping of str to str
-        HTML elements to insert above figures, by the name of the figure; for example the
-        interactive player of the flights.
+        HTML elements to insert above figures, such as the interactive player of the flights. The
+        key is the name of the figure.
     data : str
         JSON data of the flights for the interactive player; empty for a page without player.
     """

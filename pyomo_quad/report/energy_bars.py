@@ -34,8 +34,10 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 
     The left panel shows the total energy of each flight and, in grey, the energy of hovering for
     the same time. The right panel shows, on a larger scale, the energy above hovering: the energy
-    of the flight less the energy of hovering. If the durations of the flights differ, the right
-    panel shows the energy of each flight less the energy of the first flight.
+    of the flight less the energy of hovering.
+
+    Energies above hovering are comparable only between flights of equal duration. If the durations
+    differ, the right panel shows the energy of each flight less the energy of the first flight.
 
     Parameters
     ----------
@@ -76,13 +78,12 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     """Draw the energy of each flight as a bar, in one panel for each scenario.
 
     The bars show the energy above hovering: the energy of the flight less the energy of hovering
-    for the same time. If the flights of a scenario differ in duration, their energies above
-    hovering cannot be compared. If this is true for any scenario of the table, all bars in all
-    panels show the total energy.
+    for the same time. These energies are comparable only between flights of equal duration. If the
+    flights of any scenario differ in duration, the bars in all panels show total energies instead.
 
-    All panels have the same energy scale. The energy of a flight that ends near the goal includes
-    an estimate of the energy to the exact goal state. The bars of flights that did not reach the
-    goal are pale.
+    All panels have the same energy scale. A flight may end near the goal. Its energy then includes
+    an estimate of the energy that is needed to reach the exact goal state. The bars of flights that
+    missed the goal are pale.
 
     Parameters
     ----------

@@ -92,7 +92,8 @@ def ensemble_drawings(
         also shows the rival flights.
     margin : float, optional
         Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
-        scenario's clearance. The margin is drawn on both sides of the planned path; 0 for none.
+        scenario's clearance. The margin is drawn on both sides of the planned path. With 0 no
+        margin is drawn.
     """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
@@ -118,7 +119,8 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
         Flights of one mission, each in its own random wind.
     margin : float, optional
         Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
-        scenario's clearance. The margin is drawn on both sides of the path to follow; 0 for none.
+        scenario's clearance. The margin is drawn on both sides of the path to follow. With 0 no
+        margin is drawn.
     """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]

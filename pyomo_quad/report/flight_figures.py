@@ -120,8 +120,7 @@ def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
     Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature
-    of the battery. Each of these two panels is drawn only if the tables of all flights have the
-    column that the panel shows.
+    of the battery. Such a panel is drawn only if the tables of all flights have the panel's column.
 
     Parameters
     ----------
@@ -238,8 +237,8 @@ _HOVER_LINE: dict[str, Any] = {"color": MUTED, "linewidth": 1.0, "linestyle": (0
 def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw power, energy, and energy above hovering of flights over time, in three panels.
 
-    Energy above hovering is the energy that a flight has used until a time, less the energy of
-    hovering until that time.
+    Energy above hovering at a time t is the energy that a flight has used until t, less the energy
+    of hovering until t.
 
     Parameters
     ----------
@@ -264,8 +263,8 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
 def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W: float) -> None:
     """Draw the energy above hovering of flights over time in a panel.
 
-    Energy above hovering is the energy that a flight has used until a time, less the energy of
-    hovering until that time.
+    Energy above hovering at a time t is the energy that a flight has used until t, less the energy
+    of hovering until t.
 
     Parameters
     ----------
@@ -310,10 +309,10 @@ def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
 def coinciding_flights(
     flights: Sequence[StyledFlight], hover_power_W: float
 ) -> tuple[StyledFlight, ...]:
-    """Return the flights whose curve of energy above hovering is hidden by the plan's curve.
+    """Return the flights whose curve of energy above hovering coincides with the plan's curve.
 
-    Energy above hovering is the energy that a flight has used until a time, less the energy of
-    hovering until that time. The caption of the figure names the hidden flights.
+    Energy above hovering at a time t is the energy that a flight has used until t, less the energy
+    of hovering until t. The caption of the figure names the flights that are hidden in this way.
 
     Parameters
     ----------
@@ -341,7 +340,7 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
     `flights` are the flights whose power the panel shows over time; the first is the plan. Peaks of
     the other flights are excluded if they would make the axis so long that all curves look flat.
-    The result is None if no peak is excluded.
+    The result is None if the panel can show all peaks.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -359,8 +358,8 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
     """Cut off short peaks in a panel of power over time, and say so in the panel's title.
 
-    `axes` is the panel. `flights` are the flights that it shows; the first is the plan. The panel
-    stays unchanged if the peaks are not much higher than the rest of the curves.
+    `axes` is the panel. `flights` are the flights that it shows; the first is the plan. Peaks are
+    cut off only if they are much higher than the rest of the curves.
     """
     window = _power_window(flights)
     if window is not None:
@@ -379,7 +378,7 @@ def draw_mesh(
     Parameters
     ----------
     history : sequence of MeshRecord
-        Size and error estimate of each mesh, in the order of refinement.
+        Size and error estimate of each mesh, from the first to the last.
     mesh : Mesh
         The last mesh: element boundaries and polynomial degrees.
     tolerance : float
@@ -460,9 +459,9 @@ _LEG_ROW = 0.2  # inches
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
     """Draw the speed of flights over path length, and the plan's energy on each leg of the mission.
 
-    A leg is the flight from one waypoint to the next; start and goal count as waypoints. A second
-    panel has one bar for the energy of each leg and of each hover at a waypoint. This panel is left
-    out for a mission without waypoints.
+    The first panel shows the speed. If the mission has waypoints, a second panel shows the
+    energies. It has one bar for each leg and for each hover at a waypoint. A leg is the flight from
+    one waypoint to the next; start and goal count as waypoints.
 
     Parameters
     ----------
@@ -510,8 +509,8 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 def draw_front(front: pd.DataFrame) -> Figure:
     """Draw the energy-time front of a mission: least energy against duration.
 
-    Each point is an optimal flight for one price of time [W]: the energy that may be spent to
-    shorten the flight by one second. A star marks the plan.
+    Each point is an optimal flight for one price of time. The price is the energy that may be spent
+    to shorten the flight by one second [J/s = W]. A star marks the plan.
 
     Parameters
     ----------
@@ -609,7 +608,7 @@ def draw_wind(planned: StyledFlight, flown: StyledFlight | None = None) -> Figur
     planned : StyledFlight
         The plan. Its table has the wind that the plan was made for.
     flown : StyledFlight, optional
-        A flight in the true wind, if the plan was made for a forecast of another wind.
+        A flight in the true wind, if the plan was made for a wind forecast.
     """
     figure, panels = panel_grid(1, 2, panel_height=1.5, legend_entries=0 if flown is None else 2)
     forecast = [] if flown is None else [("forecast", planned, _FORECAST)]

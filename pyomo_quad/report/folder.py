@@ -1,7 +1,7 @@
 """Output folders and files that appear complete, or not at all if the program is interrupted.
 
-Output is written under a temporary name beside the final path, and renamed at the end. A folder or
-file that this package did not write is never replaced.
+Output is written under a temporary name beside the final path, and renamed at the end. Only folders
+and files that this package wrote are replaced.
 """
 
 import errno
@@ -78,8 +78,8 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Context manager: write an output file that appears complete or not at all.
 
     The ``with`` block writes to a temporary file. When the block ends, the temporary file replaces
-    the final file. If the final path is a character device or a FIFO, such as ``/dev/stdout``, the
-    content is copied to the device or FIFO.
+    the final file. The final path may also be a character device or a FIFO, such as
+    ``/dev/stdout``. The content is then copied to the device or FIFO.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the file cannot be written, or the existing file is not empty and not of this package.
+        If the file cannot be written, or if a non-empty file exists that lacks the text `mark`.
     """
     final = final_folder(path)
     try:
@@ -157,8 +157,8 @@ def _is_marked(file: Path, mark: str) -> bool:
 def refuse_output_folder(path: str | Path) -> None:
     """Raise an error if a folder cannot be used for an output; write nothing.
 
-    A command calls this function before a long solve, so that a wrong folder is reported early.
-    Later `output_folder` checks the folder again and writes the output.
+    A command calls this function before a long solve, so that the error comes early. After the
+    solve, `output_folder` checks the folder again and writes the output.
 
     Parameters
     ----------
@@ -273,11 +273,11 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Finish the replacement of an old output folder by a new one.
 
     The new folder is complete. It lies beside the final folder, under a hidden name that contains
-    "ready".
-    This function renames the old folder to `aside`, then the new folder to `final`. A run may be
-    killed between the two renamings. The next run then calls this function again and finishes the
-    replacement. Nothing is done if the hidden folder does not exist, or if it was not made by a run
-    of this package.
+    "ready". This function renames the old folder to `aside`, then the new folder to `final`. It
+    acts only if the hidden folder exists and a run of this package made it.
+
+    A run may be killed before or between the two renamings. The next run then calls this function
+    and finishes the replacement.
 
     Parameters
     ----------
@@ -313,8 +313,9 @@ def _remove_leftovers(final: Path) -> None:
 def _is_of_a_run(folder: Path) -> bool:
     """Return whether a run of this package made a folder: the folder then contains a manifest.
 
-    A manifest is the hidden file in which a run lists its output files. A user's own folder may
-    happen to have a temporary name of this module. This check keeps it from being moved or deleted.
+    A manifest is the hidden file in which a run lists its output files. This module moves and
+    deletes only folders with a manifest. A user's own folder that happens to have one of the
+    temporary names is thus safe.
     """
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 

@@ -87,9 +87,11 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    A figure is left out if the plan's table lacks a column of the figure, because a user's own
-    Pyomo model may have no such variable. A figure is also left out if the column has values that
-    are not finite, as after a failed solve. The figure of the wind is left out in calm air.
+    Some figures are left out:
+
+    - figures of a column that the plan's table lacks, as with a user's own Pyomo model;
+    - figures of a column with values that are not finite, as after a failed solve;
+    - in calm air, the figure of the wind.
 
     Parameters
     ----------
@@ -134,7 +136,7 @@ def flight_drawings(
     hover_energy_J : float
         Energy of hovering for the duration of the first flight.
     blowing : StyledFlight, optional
-        A flight in the true wind, if the plan was made for a forecast of another wind.
+        A flight in the true wind, if the plan was made for a wind forecast.
     mission : Scenario, optional
         Scenario whose waypoints and zones are drawn; each waypoint has the time at which the plan
         passes it.
@@ -171,11 +173,10 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The map and the power over time show the plan and its rival. The rival is the flight with which
-    the plan is compared to compute the printed energy saving. The energy bars show the plan and the
-    flights that reached the goal and kept all limits, because only their energies can be compared.
-    The result is empty if the plan's table has no positions: a user's own Pyomo model may have
-    none.
+    The map and the power over time show the plan and its rival. The rival is the flight relative to
+    which the report states the plan's energy saving. The energy bars show the plan and the flights
+    that reached the goal and kept all limits; only these energies can be compared. The result is
+    empty if the plan's table has no positions, as can happen with a user's own Pyomo model.
 
     Parameters
     ----------
@@ -222,7 +223,7 @@ def comparison_drawings(
 
 
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
-    """Return the caption's sentence that names the flights without a bar in the chart of energies.
+    """Return the caption's sentence that names the flights without a bar in the energy chart.
 
     The flights `compared` reached the goal and kept all limits, and therefore have a bar. The
     sentence names the rest of `flights`. The sentence is empty if all flights have a bar.
@@ -254,9 +255,9 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
     Parameters
     ----------
     front : DataFrame
-        One row for each price of time [W], the energy that may be spent to shorten the flight by
-        one second. The columns are price, duration and energy of the optimal flight, and whether
-        this flight is the plan. The enumeration `FrontColumn` names the columns.
+        One row for each price of time: the energy that may be spent to shorten the flight by one
+        second [J/s = W]. The columns are price, duration and energy of the optimal flight, and
+        whether this flight is the plan. The enumeration `FrontColumn` names the columns.
     """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
@@ -330,8 +331,8 @@ def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[s
     Returns
     -------
     views : dict
-        HTML of the player, by the name of the figure of the paths. The player is shown above this
-        figure. Empty if the report has no figure of the paths.
+        One item: the key is the name of the figure of the paths, the value the HTML of the player.
+        The page shows the player above this figure. Empty if the report has no figure of the paths.
     data : str
         The flights as JSON, for the player. Empty if the report has no figure of the paths.
     """
@@ -399,7 +400,7 @@ def _has_speed_figure(scenario: "Scenario") -> bool:
     """Return whether a report has the figure of speed over path length.
 
     The figure is shown for missions with waypoints, keep-out zones, a speed limit or a free
-    duration.
+    duration (chosen by the optimiser).
     """
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
@@ -437,8 +438,8 @@ def _heights(flights: Sequence[StyledFlight], mission: "Scenario") -> Drawing:
 def left_out(flights: Sequence[StyledFlight]) -> str:
     """Return the caption's sentences on paths that are not drawn or extend beyond the figure.
 
-    A path is not drawn if it cannot be distinguished from the plan's path. The text is empty if all
-    paths are drawn completely.
+    A path is not drawn if it looks the same as the plan's path. The text is empty if all paths are
+    drawn completely.
 
     Parameters
     ----------
@@ -499,7 +500,7 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 
 
 def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
-    """Return a caption's warning if the flights of an energy figure have different durations.
+    """Return a warning for a caption if the flights of an energy figure differ in duration.
 
     The warning says that the flights' energies above hovering cannot be compared. The energy above
     hovering is the energy of a flight less the energy of hovering for the same time. `flights` are
@@ -532,8 +533,8 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    The curves show the energy that a flight has used until a time, less the energy of hovering
-    until that time. `flights` are the flights of the figure; the first is the plan.
+    At each time t, a curve shows the energy that a flight has used until t, less the energy of
+    hovering until t. `flights` are the flights of the figure; the first is the plan.
     `hover_energy_J` is the energy of hovering for the duration of the plan. The sentence is empty
     if all curves can be distinguished.
     """

@@ -45,11 +45,11 @@ class Label:
 
 
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
-    """Print labels into a panel, each beside its point, where it hides as little as possible.
+    """Print labels into a panel, each beside its point, so that they hide as little as possible.
 
-    If possible, a label covers no other label and no labelled point. Among the places that satisfy
-    this condition, a label gets the place where it covers the fewest points of curves. The caller
-    must not change the limits of the axes afterwards.
+    Each label has several possible places. Places where it would cover another label or a labelled
+    point are avoided if possible. Of the remaining places, the label gets the place where it covers
+    the fewest points of curves. The caller must not change the limits of the axes afterwards.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ def _shifts(size: FloatArray) -> Iterable[FloatArray]:
 def _curves(axes: Axes) -> FloatArray:
     """Return the points of all curves in a panel, `axes`, in pixels, shape (n, 2).
 
-    Labels are placed so that they cover few of these points.
+    `write_labels` places labels so that they cover few of these points.
     """
     points = [np.empty((0, 2))]
     for line in axes.get_lines():

@@ -36,8 +36,8 @@ def render_html(
     pictures : mapping of str to bytes
         SVG or PNG data of each figure of the report, by name.
     views : mapping of str to str
-        HTML elements to insert above figures, by the name of the figure; for example the
-        interactive player of the flights. The elements are left out when the page is printed.
+        HTML elements to insert above figures, such as the interactive player of the flights. The
+        key is the name of the figure. A printed page does not show the elements.
     data : str
         JSON data of the flights for the interactive player; empty for a page without player.
 
@@ -69,14 +69,14 @@ _PROGRAM = Path(__file__).with_name("page.js")
 def _label(inline: Token) -> str:
     """Return the text of a line of Markdown without formatting, escaped for HTML.
 
-    `inline` is the markdown-it token of the line. The text serves as a label for screen readers, as
-    the title, or in the table of contents.
+    `inline` is the markdown-it token of the line. The text is used as a label for screen readers,
+    as the title, or in the table of contents.
     """
     return escape("".join(child.content for child in inline.children or ()))
 
 
 def _role(tokens: Sequence[Token], at: int) -> str:
-    """Return what a Markdown paragraph becomes in the HTML report: image, caption or plain text.
+    """Return the role of a Markdown paragraph in the HTML report: image, caption or plain text.
 
     `tokens` are the markdown-it tokens of the report; `at` is the index of the token that opens the
     paragraph.
@@ -109,8 +109,8 @@ class _PageRenderer(RendererHTML):
     """Markdown-to-HTML renderer that puts captions into figures and tables.
 
     A block quote of the report becomes the coloured box with the report's main result. Each section
-    becomes an element that the reader can fold. The methods override rules of markdown-it. Each
-    method has the name of the token type that it renders.
+    becomes an element that the reader can fold. Each method renders the token type of markdown-it
+    that has the method's name.
     """
 
     def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:

@@ -383,8 +383,8 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
     Returns
     -------
     list of Label
-        Labels that are not drawn yet: the labels of waypoints, then the names of zones in the view
-        from above. The caller draws them with `write_labels`.
+        Labels for the caller to draw with `write_labels`: the labels of waypoints and, in the view
+        from above, the names of zones.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)

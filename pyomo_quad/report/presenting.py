@@ -1,8 +1,8 @@
 """Figures and reports for methods such as `Plan.plot` and `RunResult.report`.
 
-The modules of plans and runs do not import this module, because they must not import matplotlib.
-Their methods get this module from `pyomo_quad.presentation.presenter`, which imports it when it is
-first needed.
+Matplotlib takes time to import, and this module imports it. The modules of plans and runs therefore
+must not import this module. Their methods call the function `pyomo_quad.presentation.presenter`,
+which imports this module at the first call.
 """
 
 from collections.abc import Callable, Iterable, Mapping
@@ -104,9 +104,9 @@ def refuse_other_endings(file: Path, name: str) -> None:
 def chosen_drawing(
     offered: Iterable[Drawing], flight: "StyledFlight", what: str, name: str
 ) -> Drawing:
-    """Return the figure with a given name: one of the offered figures, or a column over time.
+    """Return the figure named `what`: one of the offered figures, or a column over time.
 
-    If no offered figure has the name, the column of that name in the flight's table is drawn.
+    If no offered figure has this name, the figure shows the column `what` of the flight's table.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
     plan : Plan
         Planned flight.
     folder : str or Path
-        Folder of the report. It is made when the report is complete, and replaces the folder of an
+        Folder of the report. It appears when the report is complete, and replaces the folder of an
         earlier report.
     figures : str
         Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
@@ -196,7 +196,7 @@ def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
     result : RunResult
         A plan with the baseline flights it is compared with.
     folder : str or Path
-        Folder of the report. It is made when the report is complete, and replaces the folder of an
+        Folder of the report. It appears when the report is complete, and replaces the folder of an
         earlier report.
     figures : str
         Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.

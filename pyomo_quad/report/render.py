@@ -43,7 +43,7 @@ STATUS_WORDS = {
 
 
 def fixed(value: float, digits: int = 2) -> str:
-    """Format a number with a fixed number of decimals, "0.00" instead of "-0.00".
+    """Format a number with a fixed number of decimals; "-0.00" becomes "0.00".
 
     Returns "n/a" if the number is not finite.
 
@@ -92,8 +92,8 @@ def visible(text: str) -> str:
     r"""Replace the invisible characters of a text by Python escapes such as ``\u200b``.
 
     Control characters, direction marks, zero-width characters and lone surrogates are replaced.
-    Blanks and line breaks are kept. The escapes prevent two different names from looking alike in a
-    message or report.
+    Blanks and line breaks are kept. Two names that differ only in such characters thus look
+    different in a message or report.
     """
     return "".join(
         letter
@@ -137,8 +137,8 @@ def written(text: str) -> Markup:
 def _code(text: str) -> Markup:
     """Format the name of a flight, file, field or command as a Markdown code span.
 
-    `text` is the name. A name that a code span cannot hold, such as a name with a backtick, is
-    returned as escaped Markdown without a code span.
+    `text` is the name. Some names, such as a name with a backtick, cannot be written in a code
+    span. They are returned as escaped Markdown without a code span.
     """
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
@@ -149,8 +149,8 @@ def _code(text: str) -> Markup:
 def _finalize(value: object) -> Markup:
     """Escape a value that a template prints.
 
-    A value of type `Markup` is Markdown already and is returned unchanged. Jinja calls this
-    function for each value that a template prints.
+    Jinja calls this function for each printed value. A value of type `Markup` is Markdown already
+    and is returned unchanged.
     """
     return value if isinstance(value, Markup) else written(escape_markdown(str(value)))
 

@@ -88,9 +88,10 @@ def write_solve_report(
 ) -> None:
     """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
-    The text states the plan's status: whether simulation of the plan's controls confirmed the plan,
-    and to which accuracy. If simulation did not confirm the plan to any accuracy, the title also
-    states the status.
+    The text states the plan's status. A simulation of the plan's controls checks the plan. The
+    status "verified" means that the simulation confirms the plan to the requested accuracy, and
+    "usable" that it confirms the plan to wider tolerances. Any other status is also stated in the
+    title.
 
     Parameters
     ----------
@@ -101,7 +102,7 @@ def write_solve_report(
     warnings : sequence of str, optional
         Cautions to print beside the results.
     rate_hz : float, optional
-        Number of table rows per second; by default the table has one row for each mesh node.
+        Number of table rows per second. By default the table has one row for each mesh node.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     """
@@ -182,12 +183,12 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Return the results of an earlier run of a scenario, read from the run's report folder.
 
-    A comparison of scenarios uses the earlier run instead of solving the scenario again. Three
-    kinds of runs are ignored:
+    A comparison of scenarios uses the earlier run instead of solving the scenario again. A run is
+    ignored in these cases:
 
     - The plan was not verified: simulation did not confirm the plan to the requested accuracy.
-    - The package or its dependencies had other versions, so that the numbers may differ.
-    - The scenario uses a user's own model, whose code may have changed.
+    - The package or its dependencies had other versions, which may give other numbers.
+    - The scenario uses a user's own model. Its code may have changed since the run.
 
     Parameters
     ----------
@@ -273,8 +274,8 @@ def write_compare_report(
 def _title(plan: "Plan") -> str:
     """Return the title of a plan's report, which is the title or name of the plan's scenario.
 
-    If simulation of the plan's controls did not confirm the plan to any accuracy, the title begins
-    with the plan's status, such as "Failed, infeasible".
+    A simulation of the plan's controls checks the plan. If this check fails, or the solve failed
+    before it, the title begins with the plan's status, such as "Failed, infeasible".
     """
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
@@ -313,8 +314,8 @@ class FreeClimb:
     """Climb that is impossible: its potential energy exceeds the flight's energy above hovering.
 
     The energy above hovering is the energy of the flight less the energy of hovering for the same
-    time. A plan can contain such a climb if its power model does not depend on the airspeed, and
-    therefore omits the power of climbing. The report warns the user of the climb.
+    time. Some power models do not depend on the airspeed, and therefore omit the power of climbing.
+    With such a model, a plan can contain an impossible climb. The report warns the user of it.
 
     Attributes
     ----------
@@ -333,16 +334,15 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if its potential energy exceeds the energy used above hovering.
+    """Return the mission's climb if it is physically impossible, None otherwise.
 
-    Such a climb is physically impossible. Energy above hovering is the energy of the plan less the
-    energy of hovering for the same time. The result is None if the potential energy does not exceed
-    the energy above hovering, or if the goal is not above the start. In three cases the energies
-    are not compared, and the result is None:
+    The energy above hovering is the energy of the plan less the energy of hovering for the same
+    time. The climb is impossible if its potential energy exceeds the energy above hovering. In
+    three cases the climb is not judged, and the result is None:
 
-    - The power model is `momentum` or a user's own Pyomo model. Such a power model may depend on
-      the airspeed. The energy of the plan may then include the energy of the climb.
-    - The mission releases parcels on the way. The parcels do not climb to the goal.
+    - The power model is `momentum`, or the plan is of a user's own Pyomo model. The power may then
+      depend on the airspeed, so that the plan's energy includes the energy of the climb.
+    - The mission releases payload on the way. The released mass does not climb to the goal.
     - The controls of the plan were not simulated, for example because the solve failed.
     """
     scenario = plan.scenario
@@ -455,9 +455,9 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a run, except its plan.
 
-    `result` holds the results of the run. `replanned` is a table of the flights whose controller
-    solved the optimal control problem again during the flight. Each flight has one row, with its
-    results and the solve times. The returned dictionary has the values of the variables, by name.
+    `result` holds the results of the run. `replanned` is the table of the flights with re-planning
+    in flight. It has one row for each flight, with results and solve times. The returned dictionary
+    has the values of the variables, by name.
     """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
@@ -503,9 +503,9 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 def _is_good(result: "RunResult") -> bool:
     """Return whether a run succeeded, so that its report shows the main result in green.
 
-    A run succeeds if simulation confirmed the plan to the requested accuracy. If the plan was made
-    for a wind forecast, every flight of the run must also have reached the goal. `result` holds the
-    plan and the flights.
+    A run succeeds if simulation confirmed the plan to the requested accuracy. For a plan that was
+    made for a wind forecast there is a second condition: every flight of the run reached the goal.
+    `result` holds the plan and the flights.
     """
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
@@ -516,8 +516,8 @@ def prepare_figures(figures: Figures) -> None:
     """Import matplotlib and the module of figures in advance.
 
     A command calls this function while other processes compute, so that the import does not delay
-    the report. `figures` is the requested file format of the figures. For `Figures.NONE`, a report
-    without figures, nothing is imported.
+    the report. `figures` is the requested file format. For `Figures.NONE` (a report without
+    figures) nothing is imported.
     """
     if figures is not Figures.NONE:
         _gallery()
@@ -526,8 +526,8 @@ def prepare_figures(figures: Figures) -> None:
 def _gallery() -> ModuleType:
     """Import the module `gallery`, which lists the figures of reports, and return it.
 
-    The import is delayed until the first use, because matplotlib takes longer to import than a
-    solve takes.
+    The module imports matplotlib, which takes longer than a solve. It is therefore imported only
+    when a figure is needed.
     """
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
@@ -537,8 +537,8 @@ def _gallery() -> ModuleType:
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
     """Import the module `gallery`, and yield the figures that a function makes with it.
 
-    The import is delayed until the first figure is requested. A report without figures requests
-    none, and does not import `gallery` and matplotlib.
+    The import takes place when the first figure is requested. A report without figures thus avoids
+    the slow import of `gallery` and matplotlib.
 
     Parameters
     ----------

@@ -147,11 +147,10 @@ ROTOR_STYLES = (
 
 
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
-    """Return the line style of each flight, determined by the name of the flight.
+    """Return the line style of each flight, chosen by the name of the flight.
 
-    The program itself names some flights, such as the plan and the baseline flights. Each of these
-    names has a fixed style in all reports. Flights with any other name get the remaining styles in
-    turn.
+    Flights that the program names itself, such as the plan and the baseline flights, have a fixed
+    style in all reports. All other flights get the remaining styles in turn.
 
     Parameters
     ----------
@@ -196,8 +195,8 @@ def save_figure(
 def _drawn(draw: Callable[[], Figure]) -> Figure:
     """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
 
-    For each axis without a text label, the position of the empty label is set to a constant. This
-    saves a tenth of the drawing time, because matplotlib need not compute the position.
+    Matplotlib computes the position of an axis label even if the label is empty. This function sets
+    the position of empty labels to a constant, which saves a tenth of the drawing time.
     """
     figure = draw()
     for axes in figure.axes:
@@ -333,8 +332,8 @@ def draw_panels(
 ) -> None:
     """Draw several columns of the flights' tables against time, each column in a panel of its own.
 
-    A panel shows the curves of all flights and has the title of its column. The vertical axis of
-    the panel covers at least the range `smallest_span`, which is an attribute of the column.
+    A panel shows the curves of all flights and has the title of its column. The attribute
+    `smallest_span` of the column is the least range of the panel's vertical axis.
 
     Parameters
     ----------
@@ -355,7 +354,7 @@ def draw_panels(
 def keep_span(panels: Iterable[Axes], smallest_span: float) -> None:
     """Give panels a common vertical scale that covers at least a given range.
 
-    Without the least range, numerical noise of a constant curve would fill the panel.
+    The given range keeps a constant curve flat: its numerical noise does not fill the panel.
 
     Parameters
     ----------
@@ -382,7 +381,7 @@ def label_time(panels: Iterable[Axes], duration: float) -> None:
 
 
 def legend_below(figure: Figure, axes: Axes) -> None:
-    """Draw a legend below all panels, for the curves of one panel; none for a single curve.
+    """Draw a legend below all panels, for the curves of one panel, if there are at least two.
 
     Parameters
     ----------
@@ -428,9 +427,8 @@ class StyledFlight:
 def plan_flight(plan: "Plan") -> "Flight":
     """Return a plan as a `Flight`, the form in which figures draw all flights.
 
-    A `Flight` has a name, a table and an energy. The name is "optimal" or, if the solve failed,
-    "best iterate". A failed solve has the second name because its trajectory may violate
-    constraints.
+    A `Flight` has a name, a table and an energy. The name is "optimal". If the solve failed, the
+    name is "best iterate", because the trajectory may violate constraints.
     """
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
@@ -498,11 +496,11 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the plan and the baseline flight with which the plan's energy is compared.
+    """Return the plan and the only baseline flight that the figures of states show with it.
 
-    In the baseline flight a controller follows a smooth reference trajectory that is made without
-    the plan. The name of the baseline flight is the constant `FAIR_BASELINE`. If the baseline
-    flight is not among the given flights, the plan is returned alone.
+    In this baseline flight, named `FAIR_BASELINE`, a controller follows a smooth reference
+    trajectory. The trajectory is independent of the plan, so that the comparison is fair. If the
+    baseline flight is not among the given flights, the plan is returned alone.
 
     Parameters
     ----------

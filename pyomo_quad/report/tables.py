@@ -128,7 +128,7 @@ def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable
     plan : Plan
         The plan.
     rate_hz : float, optional
-        Number of rows per second; by default one row for each mesh node.
+        Number of rows per second. By default there is one row for each mesh node.
     """
     columns = plan.columns(plan.times(rate_hz))
     status: dict[str, Iterable[object]] = {}
@@ -161,9 +161,8 @@ def plan_summary(
     plan : Plan
         The plan, which may be the best iterate of a failed solve.
     wall_s : mapping
-        Wall times [s] of phases of the program that `plan.timings` lacks, by name, such as import
-        and report. The summary also has the wall times of building, solving and verifying the plan,
-        taken from `plan.timings`.
+        Wall times [s] of phases such as import and report, by name. The wall times of building,
+        solving and verifying the plan are taken from `plan.timings` and need not be given.
     warnings : sequence of str, optional
         Cautions to record.
     """
@@ -215,9 +214,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     result : RunResult
         A plan with the baseline flights it is compared with.
     wall_s : mapping
-        Wall times [s] of phases of the program that `result.timings` lacks, by name, such as the
-        report. The summary also has the wall times of planning, of the flights and of the lower
-        bound, taken from `result.timings`.
+        Wall times [s] of further phases, such as the report, by name. The wall times of planning,
+        of the flights and of the lower bound are taken from `result.timings` and need not be given.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
@@ -330,9 +328,9 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     dict
         Content of `summary.json`, not validated.
     DataFrame
-        Trajectory table: the time, and the columns of the file that are members of `ALL_COLUMNS`,
-        the list of all columns that a flight's table can have. The time increases from row to row.
-        All values are finite.
+        Trajectory table. Its columns are the time and all other columns of the file that are in
+        `ALL_COLUMNS`, the list of all columns that a flight's table can have. The time increases
+        from row to row. All values are finite.
 
     Raises
     ------

@@ -78,9 +78,9 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_faces, n_corners, 3)
-        Corners in m. A polygon with fewer than n_corners corners repeats its last corner. Without
-        the repetition, matplotlib would pad the polygon with uninitialised memory, which would
-        falsify the scale of the axes.
+        Corners in m. A polygon with fewer than n_corners corners repeats its last corner, so that
+        all polygons have the same length. Matplotlib itself would pad short polygons with
+        uninitialised memory, and then choose wrong axis limits.
     """
     cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
     most = max(map(len, cut), default=0)
@@ -91,10 +91,10 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
     """Yield the faces of a keep-out zone, not yet cut off at the limits of a figure.
 
-    Each face holds the corners of a polygon in m, shape (n_corners, 3). The zone is approximated by
-    horizontal cross-sections at increasing heights. Faces with four corners join neighbouring
-    cross-sections. Except for a sphere, the lowest cross-section and the highest cross-section are
-    faces too.
+    Each face holds the corners of a polygon in m, shape (n_corners, 3). Horizontal cross-sections
+    of the zone are taken at increasing heights. Faces with four corners join neighbouring
+    cross-sections. For every shape except the sphere, the bottom and the top of the zone are faces
+    too.
     """
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2

@@ -35,35 +35,32 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative tolerance of two differences: the plan's energy may differ from the least energy,
-        and the simulated energy may differ from the plan's energy. Mesh refinement stops when the
-        collocation error of the states is at most this tolerance.
+        Relative tolerance of the energy. It bounds the difference between the plan's energy and the
+        least energy, and the difference between the simulated energy and the plan's energy. Mesh
+        refinement stops when the collocation error of the states is at most this tolerance.
     miss : float
         Largest deviation of the simulated final state from the mission's goal, and of the simulated
-        position from each waypoint. The simulation has no feedback. The tolerance applies to each
-        state in the state's unit: m, m/s or rad. For a state of magnitude above 1, the deviation is
-        divided by the magnitude.
+        position from each waypoint. The simulation has no feedback. The deviation of each state x,
+        in the state's unit (m, m/s or rad), is divided by max(abs(x), 1).
     breach : float
-        Largest violation of a limit between collocation points, divided by the limit's magnitude.
-        A magnitude below 1 counts as 1.
+        Largest relative violation of a limit between collocation points: the violation divided by
+        max(abs(limit), 1).
     turning : float
         Largest tolerated rate of change of the heading [rad/s], in a mission whose heading must
-        stay constant. The level `quick` tolerates about three degrees per second, and the level
-        `standard` about half a degree per second. These rates are harmless: a brief slow turn
-        changes neither the path nor the energy.
+        stay constant. The level `quick` tolerates about 3 deg/s, and the level `standard` about 0.5
+        deg/s. A brief turn at these rates changes neither the path nor the energy.
     intrusion : float
         Largest distance [m] by which the flight may violate a limit of the airspace: the required
-        distance from a keep-out zone, the floor, the ceiling or the fence. The tolerance `breach`
-        applies to these limits, too: both tolerances must be met. Without `intrusion`, 1 % of
-        `breach` would allow half a metre at a ceiling of 50 m. At the level `proof`, `intrusion` is
-        infinite, so that only `breach` applies.
+        distance from a keep-out zone, the floor, the ceiling or the fence. For these limits both
+        `breach` and `intrusion` must be met, because a relative tolerance is wide at a high limit:
+        1 % of a ceiling at 50 m is half a metre. At the level `proof`, `breach` alone is strict
+        enough (5 mm at 50 m), and `intrusion` is infinite.
     integration : float
-        Relative and absolute tolerance of the simulation. The value is far below the other
-        tolerances, because errors of a flight without feedback grow about a millionfold in half a
-        minute.
+        Relative and absolute tolerance of the simulation. In a flight without feedback, errors grow
+        about a millionfold in half a minute. The value is therefore far below the other tolerances.
     spacing : float
         Distance [m] between neighbouring places at which the simulated path is checked for entry
-        into a keep-out zone. Only the parts of the path near a zone are checked so densely.
+        into a keep-out zone. Parts of the path far from all zones are checked less densely.
     """
 
     energy: float

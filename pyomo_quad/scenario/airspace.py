@@ -38,9 +38,9 @@ class Ball(NamedTuple):
     """Sphere, infinite vertical cylinder, or slab: every keep-out zone is an intersection of these.
 
     A ball is the set of places whose distance from a centre is at most a radius. The distance is
-    measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for a
-    slab. A slab is the space between two parallel planes. It is also called an interval, because
-    it is an interval of its one coordinate. The keep-out zones are these intersections of balls:
+    measured in three coordinates (x, y, z) for a sphere, in two (x, y) for a cylinder, and in one
+    for a slab. A slab is the space between two parallel planes. In its one coordinate it is an
+    interval, and it is called an interval below. Each keep-out zone is an intersection of balls:
 
     zone | balls
     sphere | one ball in x, y and z
@@ -54,9 +54,8 @@ class Ball(NamedTuple):
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
         interval along the normal of a polygon's edge.
     centre : tuple of float
-        Coordinates of the centre [m], one for each member of `axes`. For an interval along the
-        normal of a polygon's edge, the only coordinate is the component of the centre along the
-        normal.
+        Coordinates of the centre [m], one for each member of `axes`. An interval along the normal
+        of a polygon's edge has one coordinate: the position of its centre along the normal.
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None
@@ -70,12 +69,12 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return those coordinates of places on which the distance from the ball's centre depends.
+        """Return the coordinates of places in which the distance from the centre is measured.
 
         These are x, y and z for a sphere, and x and y for an infinite vertical cylinder. An
-        interval, that is, the space between two parallel planes, has a single coordinate: x, y or
-        z, or the component of the position along the normal of a polygon's edge. A place is in the
-        ball if the distance of its coordinates from the centre is at most the radius.
+        interval (the space between two parallel planes) has a single coordinate: x, y, z, or the
+        position along the normal of a polygon's edge. A place is in the ball if its distance from
+        the centre in these coordinates is at most the radius.
 
         Parameters
         ----------
@@ -106,8 +105,8 @@ class Ball(NamedTuple):
         Returns
         -------
         ndarray, shape (...)
-            Radius of the ball minus the distance of each place from the ball's centre. The distance
-            is measured in the one to three coordinates of the ball (see `coordinates`).
+            Depth = radius - distance from the ball's centre. The distance is measured in the ball's
+            one to three coordinates (see `coordinates`).
         """
         import numpy as np  # noqa: PLC0415  see `coordinates`
 
@@ -129,10 +128,9 @@ _STRAIGHT = 1e-9
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     """Return twice the signed area of the triangle that each corner forms with its neighbours.
 
-    A positive value means that the outline of the polygon turns left at the corner, a negative
-    value that it turns right. At zero the corner is on the straight line between its two
-    neighbours. For a convex polygon, the sum over all corners is positive if the corners are in
-    counter-clockwise order.
+    The sign shows how the outline of the polygon turns at the corner: to the left if positive, to
+    the right if negative. At zero the corner is on the straight line between its neighbours. If the
+    corners of a convex polygon are in counter-clockwise order, all values are positive or zero.
 
     Parameters
     ----------
@@ -160,7 +158,7 @@ def is_convex(polygon: Any) -> bool:  # noqa: ANN401  shapely has no types that 
 def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
     """Raise ValueError if a list of corners x, y [m], in order, is not a convex polygon.
 
-    `what` is the beginning of the error message, and names the polygon.
+    `what` names the polygon at the beginning of the error message.
     """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
@@ -201,9 +199,9 @@ def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
     `corners` holds the corners x, y of the polygon in order [m]. A slab is the space between two
-    parallel vertical planes, here a `Ball` with one coordinate along the edge's normal. The
-    intersection of all slabs is the polygon. Two parallel edges have a common slab, which is
-    yielded only once.
+    parallel vertical planes. Here it is a `Ball` with one coordinate, the position along the edge's
+    normal. The intersection of all slabs is the polygon. Two parallel edges have a common slab,
+    which is yielded only once.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -294,10 +292,10 @@ class KeepOut(Part):
         return (round_part, _interval(2, self.bottom, self.top))
 
     def ring(self, beyond: float = 0.0) -> "FloatArray":
-        """Return the corners of a prism's ground plan, with the edges moved outwards.
+        """Return the corners of a prism's ground plan, whose edges may be moved outwards.
 
-        The zone must be a prism over a convex polygon. A corner on the straight line between its
-        two neighbours is left out.
+        The ground plan is the polygon over which the prism stands. Corners on the straight line
+        between their two neighbours are left out. The zone must be a prism.
 
         Parameters
         ----------
@@ -327,9 +325,9 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        Inside the zone, the depth is the distance to the nearest face. Outside the zone, the place
-        is on the outer side of one or more faces, extended to infinity. The depth is minus the
-        largest of the distances from these faces.
+        The depth is the least of the depths in the balls whose intersection is the zone (see
+        `balls`). Inside the zone, it is the distance to the nearest face. Outside, its magnitude is
+        at most the distance from the zone.
 
         Parameters
         ----------
@@ -535,8 +533,8 @@ class Airspace(Part):
     def height_above_ground(self, place: "ArrayLike", side: int = 1) -> "FloatArray":
         """Return the height of places above a smooth surface close to the ground [m].
 
-        The floor (least allowed height) and the ceiling (greatest allowed height) are measured
-        from such smooth surfaces. Without terrain the ground is the plane z = 0.
+        The floor (least allowed height) and the ceiling (greatest allowed height) are measured from
+        two such surfaces. Without terrain both are the plane z = 0.
 
         Parameters
         ----------
@@ -572,7 +570,7 @@ class Airspace(Part):
         Returns
         -------
         ndarray, shape (...)
-            Distances; infinite without floor and ceiling.
+            Distances. They are infinite if there is neither a floor nor a ceiling.
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
@@ -584,8 +582,8 @@ class Airspace(Part):
     def complaints(self, place: Sequence[float]) -> Iterator[str]:
         """Yield one message for each reason why a place is outside the airspace.
 
-        A message completes a sentence that begins with the name of the place. The message states
-        which limit the place violates and what the user can change.
+        A message states the limit that the place violates, and a remedy. The caller puts the name
+        of the place before the message.
 
         Parameters
         ----------
@@ -620,8 +618,8 @@ class Airspace(Part):
     def with_clearance(self, zone: KeepOut) -> str:
         """Return the words by which messages name a zone, as in "mast with its clearance of 2 m".
 
-        The clearance is the distance that the flight must keep from every keep-out zone. Without
-        clearance, only the zone's name is returned.
+        The clearance is the distance that the flight must keep from every keep-out zone. If it is
+        zero, only the zone's name is returned.
         """
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

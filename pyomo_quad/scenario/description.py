@@ -106,7 +106,8 @@ def field_unit(path: str) -> str:
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
     """Return the origin of a field's value, such as "default" or "library dji_phantom_2".
 
-    A field without a recorded origin has the origin of the list or table that contains the field.
+    Only some origins are recorded. Any other field has the origin of the list or table that
+    contains it.
 
     Parameters
     ----------
@@ -223,9 +224,10 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
     """Return JSON Schemas for alternative notations of a field in a file.
 
-    Two kinds of fields have an alternative notation. A place may be given by latitude and longitude
-    instead of x, y and z. The direction of a wind may be given as the direction from which the wind
-    blows.
+    Two kinds of fields have an alternative notation:
+
+    - A place may be given by latitude and longitude instead of x, y and z.
+    - The direction of a wind may be given as the direction from which the wind blows.
 
     Parameters
     ----------
@@ -331,16 +333,17 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
-    """Return whether a field's plausible range applies to one of the field's allowed types.
+    """Return whether a field's plausible range applies to values of a given type.
 
-    The range applies to numbers and lists of numbers, not to words such as "free".
+    A field may allow several types, such as a number and the word "free". The plausible range
+    applies to numbers and lists of numbers only.
 
     Parameters
     ----------
     field : mapping
-        JSON Schema of the field; `sound` holds the plausible range, if the field has a range.
+        JSON Schema of the field. Its key `sound` holds the plausible range, if there is one.
     option : mapping
-        JSON Schema of the type.
+        JSON Schema of the given type.
     """
     return "sound" in field and option.get("type") in {"number", "integer", "array"}
 
@@ -348,8 +351,8 @@ def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     """Return the allowed range of a number in words, followed by the reason for the range.
 
-    The allowed range is the overlap of the field's plausible range with the range from minimum to
-    maximum in the JSON Schema.
+    A number must be in the field's plausible range and between the minimum and the maximum of the
+    JSON Schema. The result states the range that satisfies both.
 
     Parameters
     ----------
@@ -376,7 +379,7 @@ def _allowed_values(option: Mapping[str, Any], definitions: Mapping[str, Any]) -
     Parameters
     ----------
     option : mapping
-        JSON Schema of the type: a number, a list or an enumeration, for example.
+        JSON Schema of the type, such as a number, a list or an enumeration.
     definitions : mapping
         JSON Schemas to which `option` may refer, by name.
     """

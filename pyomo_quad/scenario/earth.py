@@ -1,11 +1,11 @@
 """Geodetic positions: the origin of a mission on earth, and places by latitude and longitude.
 
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
-metres. The plane z = 0 is tangent to the earth at the origin. The earth's surface lies below the
-plane z = 0: by 8 cm at 1 km, by 8 m at 10 km. Latitude and longitude refer to WGS 84. All altitudes
-of a mission must have a common reference level, usually the sea. The library PROJ converts between
-the coordinates (conversion `topocentric`). A conversion followed by its inverse moves a place by at
-most 0.01 mm.
+metres. The plane z = 0 is tangent to the earth at the origin. The earth's surface lies below this
+plane: by 8 cm at 1 km from the origin, and by 8 m at 10 km. Latitude and longitude refer to WGS 84.
+All altitudes of a mission must have a common reference level, usually the sea. The library PROJ
+converts between the coordinates (conversion `topocentric`). A conversion followed by its inverse
+moves a place by at most 0.01 mm.
 """
 
 from collections.abc import Mapping

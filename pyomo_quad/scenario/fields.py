@@ -44,8 +44,8 @@ _ONE_LINE = r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]*$"
 class Sound(NamedTuple):
     """Plausible range of a numeric scenario field, and the reason for the range in words.
 
-    A number outside the range is refused, because it is probably a typing error or in a wrong unit,
-    and might cause overflow.
+    A number outside the range is refused. It is probably a typing error or in a wrong unit, and
+    might cause overflow.
 
     Attributes
     ----------
@@ -111,9 +111,9 @@ class Part(BaseModel):
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
-        The record has all fields, with one exception. A field that earlier versions of the package
-        did not have is left out if its value is the default. A scenario that does not use such a
-        field therefore has the same record in all versions.
+        A late field is a field that earlier versions of the package did not have. The record leaves
+        out each late field whose value is the default. A scenario that uses no late field thus has
+        the same record in all versions of the package. All other fields are in the record.
 
         Parameters
         ----------
@@ -186,15 +186,15 @@ def quantity(
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether earlier versions of the package lacked the field. When the package stores a
-        scenario, for example in a report, such a field is left out if its value is the default. A
-        stored scenario without such a field is read with the field's default.
+        Whether the field is late, that is, was missing in earlier versions of the package. When the
+        package stores a scenario, for example in a report, it leaves out a late field whose value
+        is the default. When it reads a stored scenario, a missing late field gets its default.
     initial : object, optional
-        Value that replaces the default for scenario files. It is used if a scenario file leaves the
-        field out. A stored scenario without the field still gets the default.
+        Value of the field if a user's scenario file leaves it out. In a scenario that the package
+        has stored, a missing field gets `default` instead. By default the two values are equal.
     unit_keys : mapping, optional
-        Other keys under which a file may give the field in another unit. The mapping has for each
-        key the factor that converts its unit to `unit`.
+        Other keys under which a file may give the field in another unit. The value of each key is
+        the factor from that unit to `unit`.
     **limits
         Constraints of pydantic, such as ``gt=0`` or ``max_length=200``.
 
@@ -286,12 +286,12 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the initial value of a field: its value if a scenario file omits the field.
+    """Return the initial value of a field: its value if a user's scenario file omits it.
 
-    Only a few fields have an initial value that differs from the default. For all other fields the
-    result is None, and the default takes the place of the initial value. In a scenario that the
-    package has stored, for example in a report, a missing field always gets its default. See
-    `quantity`, which declares both values.
+    Only a few fields have an initial value. For all other fields the result is None, and a missing
+    field gets its default. The initial value is for files that users write. In a scenario that the
+    package has stored, for example in a report, every missing field gets its default. The function
+    `quantity` declares both values.
 
     Parameters
     ----------
@@ -384,9 +384,9 @@ def depth(value: object, allowed: int) -> int:
     Parameters
     ----------
     value : object
-        Tables and lists, or a plain value, whose depth is 0.
+        Tables and lists, or a plain value. A plain value has depth 0.
     allowed : int
-        Depth above which the count stops, so that malicious input costs no time.
+        Depth above which the count stops. The count is thus fast even for malicious input.
 
     Returns
     -------
@@ -408,12 +408,12 @@ def depth(value: object, allowed: int) -> int:
 
 
 def leaves(tree: Mapping[str, Any], prefix: FieldPath = ()) -> Iterator[tuple[FieldPath, Any]]:
-    """Yield the path and the value of each plain value (anything but a table) in nested tables.
+    """Yield path and value of each entry of nested tables that is not itself a table.
 
     Parameters
     ----------
     tree : mapping
-        Nested tables. A list counts as a plain value.
+        Nested tables. A list counts as one value.
     prefix : tuple, optional
         Path of `tree` in a larger scenario, put before each yielded path.
     """
@@ -455,8 +455,8 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     Parameters
     ----------
     lower, upper : mapping
-        Nested tables. If a key is in both, its value in `upper` is taken. If both values of the key
-        are tables, the two values are merged instead.
+        Nested tables. If a key is in both, and both its values are tables, the two values are
+        merged. Otherwise the value in `upper` is taken.
 
     Returns
     -------

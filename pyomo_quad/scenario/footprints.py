@@ -1,11 +1,11 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
-Keep-out zones must be convex. The model keeps the flight out of a zone by this condition: each
-place of the flight is on the outer side of the plane of at least one face. For a concave zone the
-condition is not enough, because it also holds at some places inside the zone.
+Keep-out zones must be convex. To keep the flight out of a zone, the model requires each place of
+the flight to lie on the outer side of the plane of at least one face. In a concave zone, some inner
+places satisfy this condition, too.
 
-A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, without gaps between the
-zones. A concave fence is replaced by its convex hull. The parts of the hull outside the fence
+A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, which together cover the
+polygon. A concave fence is replaced by its convex hull. The parts of the hull outside the fence
 become keep-out zones fence-1, fence-2 and so on.
 """
 
@@ -31,9 +31,9 @@ _Ring = list[tuple[float, float]]
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
-    A concave fence is replaced by its convex hull, with keep-out zones for the parts of the hull
-    outside the fence. Invalid polygons are not changed, because the later validation of the
-    scenario rejects them.
+    A concave fence is replaced by its convex hull, and the parts of the hull outside the fence
+    become keep-out zones. Invalid polygons are kept as they are; the validation of the scenario
+    rejects them later.
 
     Parameters
     ----------
@@ -92,9 +92,9 @@ def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and se
 def convex_parts(polygon: Any) -> list[_Ring]:  # noqa: ANN401  see `is_convex`
     """Divide a polygon into convex parts.
 
-    The number of parts is at most four times the least possible number. By the method of Hertel and
-    Mehlhorn (1983), the polygon is triangulated, and neighbouring parts are merged while their
-    union is convex.
+    The method is that of Hertel and Mehlhorn (1983). The polygon is triangulated, and neighbouring
+    parts are merged as long as their union is convex. The number of parts is at most four times the
+    least possible number.
 
     Parameters
     ----------
@@ -145,7 +145,7 @@ def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
 def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `is_convex`
     """Return the convex hull of a concave fence, and the parts of the hull outside the fence.
 
-    The flight must stay in the hull, and the parts become keep-out zones.
+    The flight must stay in the hull and out of the parts, which become keep-out zones.
 
     Parameters
     ----------
@@ -258,9 +258,10 @@ def _height(
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
     """Yield the rings (closed outlines) of each polygon of a GeoJSON feature.
 
-    `feature` is the feature as read from the file. For each polygon a list is yielded: the outer
-    ring, then the rings of any holes. A geometry other than Polygon or MultiPolygon raises a
-    ScenarioError. `where` is the beginning of the error message: the file and the feature.
+    `feature` is the feature as read from the file. For each polygon the function yields a list: the
+    outer ring, then the rings of any holes. It raises a ScenarioError if the geometry is not a
+    Polygon or MultiPolygon. `where`, the file and the feature, is the beginning of the error
+    message.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

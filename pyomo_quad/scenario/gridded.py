@@ -1,7 +1,7 @@
 """Reading of data on a rectilinear grid, such as wind or terrain, from NetCDF, CSV or Parquet.
 
-The file may come from an untrusted source. It is therefore read as data only, is bounded in size,
-and is checked completely before use.
+The file may come from an untrusted source. It is therefore read as data only, its size is limited,
+and its content is checked completely before use.
 """
 
 from collections.abc import Mapping
@@ -67,11 +67,11 @@ class Quantity:
     columns : tuple of str
         Column of each component in a CSV or Parquet table.
     needed : int
-        Number of components that a file must have, counted from the first; later components may be
-        absent.
+        Number of components that a file must have: the first `needed` ones. The others are
+        optional.
     units : mapping of str to float
-        Units allowed in NetCDF, each with the factor from the unit to SI units. A variable without
-        a unit has the first of these units.
+        Units allowed in NetCDF, each with the factor from the unit to SI units. The first unit is
+        assumed for a variable without a unit.
     """
 
     word: str
@@ -148,9 +148,9 @@ def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Grid
     """Convert the axes of gridded data to metres from the mission's origin.
 
     Longitudes are converted to x at the grid's middle latitude, and latitudes to y at the grid's
-    middle longitude. Toward the poles the meridians converge, so that the corners of the grid are
-    not exactly at these x and y. A grid that spans too much of the earth is refused, because its
-    corners would be too far off.
+    middle longitude. At other grid points the conversion is approximate, because the meridians
+    converge toward the poles. The error is greatest at the corners of the grid. If it is too large
+    there, the grid spans too much of the earth, and a ScenarioError is raised.
 
     Parameters
     ----------
@@ -251,9 +251,8 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    `variables` holds the variables of the file by name. A variable has a given name if its name in
-    the file or its attribute `standard_name` is the given name. Earlier members of `names` have
-    precedence.
+    `variables` holds the variables of the file by name. A variable matches if its name in the file
+    or its attribute `standard_name` is one of `names`. Earlier members of `names` have precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -334,11 +333,10 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
-    """Raise an error if a table's columns are not those of a given quantity on a grid.
+    """Raise an error if the columns of a table do not fit a given quantity on a grid.
 
-    Columns for x and y and for the required components of the quantity must be present. Columns for
-    the other axes and the other components of the quantity are optional. Unknown or repeated
-    columns are an error.
+    The table must have columns for x and y and for the required components of the quantity. Columns
+    for the other axes and components are optional. Unknown or repeated columns are an error.
 
     Parameters
     ----------
@@ -370,8 +368,8 @@ def _rising(field: Gridded, place: str) -> Gridded:
     """Return gridded data with ascending axes.
 
     `field` is the data as read from the file. The values are reordered with the axes. A height or
-    time axis with a single point is dropped. If the axis x or y is missing, or if there are too
-    many values, a ScenarioError is raised. `place` is the beginning of the error message.
+    time axis with a single point is dropped. The function raises a ScenarioError if the axis x or y
+    is missing, or if there are too many values. `place` is the beginning of the error message.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

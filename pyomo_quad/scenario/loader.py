@@ -32,16 +32,16 @@ def load_scenario(
 ) -> Scenario:
     """Read, complete and validate a scenario.
 
-    The value of a field comes from the overrides, else from the scenario file, else from the
-    package's library of vehicles, batteries and winds, else from the field's default.
+    The value of a field comes from the first of these sources that has one: the overrides, the
+    scenario file, the package's library of vehicles, batteries and winds, the field's default.
 
     Parameters
     ----------
     path : str, Path or mapping
         A scenario file (TOML), or nested mappings with the same content.
     overrides : sequence of str or mapping, optional
-        Changed fields: texts ``PATH=VALUE`` with a TOML value, as for the command-line option
-        `--set`, or a mapping from dotted path to value.
+        Changed fields: a mapping from dotted path to value, or texts ``PATH=VALUE`` with a TOML
+        value, as for the command-line option `--set`.
 
     Returns
     -------

@@ -54,9 +54,8 @@ def complaints(
 ) -> list[tuple[FieldPath, str]]:
     """Convert pydantic's validation errors of a table to messages of one line each.
 
-    Messages about unknown keys come first. If an unknown key resembles a missing required field, it
-    is probably a misspelling of the field. Only the unknown key is then reported, and not the
-    missing field.
+    Messages about unknown keys come first. An unknown key that resembles a missing required field
+    is probably a misspelling of the field. In this case only the unknown key is reported.
 
     Parameters
     ----------
@@ -67,9 +66,9 @@ def complaints(
     prefix : tuple, optional
         Path of the table in the file, put before the paths in messages.
     spared : sequence of tuple, optional
-        Paths of tables and fields that could not be filled in, because of an error that is already
-        reported, for example in a file or library entry. No missing or contradictory field at or
-        below these paths is reported.
+        Paths of tables and fields that could not be filled in, because of another error such as an
+        unreadable data file. This error is reported elsewhere. Therefore missing or contradictory
+        fields at or below these paths are not reported here.
 
     Returns
     -------
@@ -117,9 +116,10 @@ def listed(lines: Sequence[str]) -> str:
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
     """Return the path of a pydantic error without the type name that pydantic may append.
 
-    Some fields, such as `mission.duration`, accept either a number or a word. For these fields
-    pydantic reports an error for each type, and appends the name of the type to the field's path.
-    `path` is the path that pydantic reports, and `model` the model class of the validated table.
+    Some fields, such as `mission.duration`, accept either a number or a word. If the value is
+    invalid, pydantic reports one error for each type, and appends the name of the type to the
+    field's path. `path` is the path that pydantic reports, and `model` the model class of the
+    validated table.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None

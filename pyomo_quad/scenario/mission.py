@@ -273,10 +273,10 @@ class Mission(Part):
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return the times at which waypoints are reached and left, and the end time.
 
-        A leg is the flight from one place (start, waypoint or goal) to the next. Each place with a
-        prescribed time is reached on time. For this purpose, the durations of all legs between two
-        prescribed times are multiplied by a common factor. The start counts as a prescribed time.
-        Legs after the last prescribed time keep their desired durations.
+        A leg is the flight from one place (start, waypoint or goal) to the next. A place may have a
+        prescribed time; that of the start is 0. All legs between two prescribed times are made
+        longer or shorter by a common factor, so that the second place is reached on time. Legs
+        after the last prescribed time keep their desired durations.
 
         Parameters
         ----------
@@ -345,11 +345,13 @@ class Mission(Part):
         return NamedDuration(f"mission.{field}", self.duration_limits[1])
 
     def chosen(self, duration: float) -> dict[str, float | str | None]:
-        """Return the new values of fields that turn a free duration into a fixed duration.
+        """Return the new values of the fields that change if a free duration becomes fixed.
 
-        The fields that are allowed only with a free duration get their defaults: the limits on the
-        duration, and the price of time (the energy equivalent of a second [W]). The aim of least
-        time is also allowed only with a free duration; it is replaced by the aim of least energy.
+        Some values are allowed only with a free duration, and are therefore replaced:
+
+        - The limits on the duration and the price of time (energy equivalent of a second [W]) get
+          their defaults.
+        - The aim of least time is replaced by the aim of least energy.
 
         Parameters
         ----------

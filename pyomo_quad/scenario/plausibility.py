@@ -7,11 +7,13 @@ T, A | thrust [N] and disc area [m²] of this rotor
 rho | air density [kg/m³]
 P_i | ideal power of hover [W], T^(3/2) / sqrt(2 rho A), the least for a disc area A
 
-A motor with k_t k_v = 1 conserves energy; a larger product would create power. By momentum theory,
-the shaft power tau omega of a rotor in hover is at least P_i. No moment of inertia of a body
-exceeds the sum of the other two moments. For example, the moment about x is the integral of
-y² + z². The other two moments are the integrals of x² + z² and x² + y². Their sum is at least as
-large.
+These conditions are checked, apart from rounding of the numbers:
+
+- k_t k_v = 1: such a motor conserves energy; a larger product would create power.
+- tau omega >= P_i: by momentum theory, the ideal power is the least shaft power of a rotor in
+  hover.
+- Ix <= Iy + Iz, and likewise for y and z. Ix is the mass integral of y² + z². The sum Iy + Iz is
+  the mass integral of 2 x² + y² + z², which is at least as large.
 """
 
 from collections.abc import Iterator
@@ -51,7 +53,7 @@ class Contradiction:
 
 
 def created_power(vehicle: Vehicle, power: Power, gravity: float) -> str:
-    """Return an error message if the motors would give out more power in hover than they take in.
+    """Return an error message if the motors give out more power in hover than they take in.
 
     Parameters
     ----------
@@ -131,8 +133,8 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
 
     The remark on the motors concerns the product of torque constant [N m/A] and voltage constant
     [rad/s/V]. The product is 1 for a real motor, because a motor conserves energy. The remark is
-    made if the product of the given constants differs noticeably from 1, but rounding of the
-    constants can explain the difference.
+    made if the product differs from 1 noticeably, but not by more than rounding of the constants
+    can explain.
 
     The remark on the rotors concerns their figure of merit: ideal power divided by shaft power in
     hover. The remark is made if the figure of merit is unusually high.
@@ -176,9 +178,10 @@ def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float
     """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
     In the motor model, a motor creates power if torque constant times voltage constant exceeds 1.
-    The motor also has a copper loss, which grows faster with the speed than the created power. At
-    the returned speed, the copper loss equals the created power. Above this speed, the copper loss
-    is greater.
+    The created power is torque times speed times a constant, and grows with the third power of the
+    speed. The copper loss is resistance times current squared, and grows with the fourth power. At
+    the returned speed, the copper loss equals the created power. Above it, the copper loss is
+    greater.
 
     Parameters
     ----------
@@ -211,15 +214,16 @@ class _Hover:
     Attributes
     ----------
     start : str
-        Beginning of an error message or remark about the power of hover. The text states the drag
-        torque coefficient of the rotors and the shaft power.
+        Beginning of an error message or remark about the power of hover. It states the drag torque
+        coefficient of the rotors and the shaft power.
     shaft_W : float
         Power at the shafts of all rotors [W].
     ideal_W : float
         Ideal power [W]: the least power for hover with the rotors' disc area, by momentum theory.
     radius : str
-        Text with the rotor radius [m] and its origin. The origin is the vehicle's field
-        `rotor_radius`, or the largest radius without overlap of the rotors.
+        Text that states the rotor radius [m] and its origin. The radius is the vehicle's field
+        `rotor_radius`. If the field is not given, it is the largest radius at which the rotors do
+        not overlap.
     """
 
     start: str

@@ -2,7 +2,7 @@
 
 The library is the package's collection of vehicles, batteries and winds. Overrides are values that
 replace values of the scenario file. The origin of each value is recorded. TOML documents may come
-from untrusted sources. They are therefore read as data only, and are bounded in size and depth.
+from untrusted sources. They are therefore read as data only, and their size and depth are limited.
 """
 
 import re
@@ -124,8 +124,8 @@ def parse_toml(text: str) -> dict[str, Any]:
     Raises
     ------
     ValueError
-        If the text is not TOML, if its tables or lists are nested deeper than the parser can
-        recurse, or if one of its keys has more than 32 parts.
+        If the text is not TOML, has tables or lists nested deeper than the parser can recurse, or
+        has a key with more than 32 parts.
     """
     try:
         if _LONG_KEY.search(_TEXT.sub("''", text)) is None:
@@ -296,8 +296,8 @@ def _entry(
     written : mapping
         Content of the file.
     base : LibraryEntry or None
-        Library entry with the values that are missing in the file. The new entry does not copy
-        these values; its attribute `base` refers to this library entry.
+        Library entry with the values that are missing in the file. It becomes the attribute `base`
+        of the new entry; its values are not copied.
 
     Returns
     -------
@@ -341,8 +341,8 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
     The file has the structure of the library's files: the sections `fields` and, for a vehicle,
     `limits`. A number stands alone, or as a table of `value` and `source`. At the top of the file,
-    the key `use` may name a library entry; this entry supplies the values that are missing in the
-    file. In a vehicle file, the key `battery` may name the battery pack.
+    the key `use` may name a library entry, which supplies the values that are missing in the file.
+    In a vehicle file, the key `battery` may name the battery pack.
 
     Parameters
     ----------
@@ -401,18 +401,18 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield an error message for each number in a library file that has neither allowed form.
+    """Yield an error message for each number in a library file that is written in a wrong form.
 
-    A number may have one of two forms. It stands alone, as in ``mass = 1.3``. Or it is written as a
-    table with no other keys than `value` and `source`, as in
-    ``mass = {value = 1.3, source = "data sheet"}``. The source must be a text.
+    Two forms are allowed. A number may stand alone, as in ``mass = 1.3``. It may also be a table
+    with the keys `value` and `source` only, as in ``mass = {value = 1.3, source = "data sheet"}``.
+    The source must be a text.
 
     Parameters
     ----------
     table : mapping
         Part of the file to check, with all nested tables.
     place : tuple of str
-        Path of `table` in the file, with which each message gives the full path of the wrong key.
+        Path of `table` in the file. Messages state the full path of the wrong key.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -463,7 +463,7 @@ class ScenarioSource:
     folder : Path
         Folder to which relative file names refer.
     document : mapping
-        The scenario's own tables, before values of the library and overrides are added.
+        The scenario's own tables, before the overrides and the values of the library are added.
     assignments : mapping
         New value of each overridden field, by path, in the order of the overrides.
     label : str
@@ -505,10 +505,10 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    A few fields have an initial value, which differs from their default. If a user's scenario file
-    leaves such a field out, this function adds the initial value. It adds no initial values to a
-    scenario that the package has stored, for example in a report. The defaults of all fields that
-    are then still missing are added later, by the validation of the tables.
+    A few fields have an initial value, which differs from their default. This function fills it in
+    if a user's scenario file leaves the field out. In a scenario that the package has stored, for
+    example in a report, it fills in no initial values. Fields that are still missing afterwards get
+    their defaults later, when the tables are validated.
 
     Parameters
     ----------
@@ -567,9 +567,11 @@ def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
 
     Every optional field has a default. A few fields also have an initial value, which differs from
     the default. If a user's scenario file leaves such a field out, the field gets the initial
-    value. The initial value is not for a scenario that the package has stored, for example in a
-    report. A stored scenario lacks such a field in two cases: the field had its default, or the
-    package did not have the field yet. The field gets its default in both cases.
+    value.
+
+    Initial values are only for files that users write. A scenario that the package has stored, for
+    example in a report, may lack the field because it had its default, or because an old version of
+    the package did not have the field. In both cases the field must get its default.
 
     `model` is the Pydantic class of the scenario.
     """
@@ -664,11 +666,11 @@ class _Filled:
         """Add the values of the library entry that a table of the scenario names by its key `use`.
 
         The key `use` may also name a user's own file with the structure of a library entry. Without
-        this key, a default entry is added. The default entry of a battery is the battery pack that
-        the vehicle's entry names.
+        this key, the function adds a default entry. For a battery, the default entry is the battery
+        pack that the vehicle's entry names.
 
-        A stored scenario already contains the values of its library entries. For a stored scenario
-        the function adds values only if an override changes the key `use`.
+        A scenario that the package has stored already contains the values of its library entries.
+        For such a scenario the function acts only if an override changes the key `use`.
 
         Parameters
         ----------
@@ -768,10 +770,10 @@ class _Filled:
     def add_footprints(self) -> None:
         """Complete the keep-out zones of the table `airspace`.
 
-        The field `airspace.file` may name a GeoJSON file. The zones of this file are added to the
-        zones of the scenario. A scenario that the package has stored, for example in a report,
-        already contains the zones of the file, and the file is not read again. Finally, every zone
-        with a concave polygon is divided into convex parts.
+        If the field `airspace.file` names a GeoJSON file, its zones are added to the zones of the
+        scenario. A scenario that the package has stored, for example in a report, already contains
+        these zones; the file is then not read. Finally, every zone with a concave polygon is
+        divided into convex parts.
         """
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
@@ -814,10 +816,10 @@ class _Filled:
     def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
         """Return whether a stored scenario already contains the content of a data file.
 
-        A stored scenario contains the content of each data file that was read. Such a data file is
-        not read again: its name is relative to the folder of the original scenario file, and this
-        folder is not stored. The result is False if an override changes the data file's name or
-        content.
+        A stored scenario contains the content of each data file that was read. The file itself may
+        be impossible to find: its name is relative to the folder of the original scenario file, and
+        this folder is not stored. A recorded file is therefore not read again. The result is False
+        if an override changes the data file's name or content.
 
         Parameters
         ----------
@@ -878,9 +880,9 @@ class _Filled:
         `wind.file` names the file of the actual wind, and `wind.forecast.file` the file of the
         forecast. Each of these fields may be missing.
 
-        A free duration of the mission may have no upper limit. The end of the measured wind,
-        counted from the start of the mission, then becomes the upper limit. Of two measured winds,
-        the one that ends first counts.
+        If the duration of the mission is free and has no upper limit, the end of the measured wind
+        becomes the limit. It is counted from the start of the mission. If there are two measured
+        winds, the earlier end is used.
         """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []
@@ -931,8 +933,8 @@ def _beside(file: str, pack: str) -> str:
     Returns
     -------
     str
-        For a pack of the library its unchanged name; for a file its path relative to the folder of
-        the scenario.
+        For a pack of the library, its unchanged name. For a file, its path relative to the folder
+        of the scenario.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 

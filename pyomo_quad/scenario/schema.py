@@ -168,7 +168,7 @@ class Scenario(Part):
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy of the scenario with some fields changed.
 
-        Limits and other values that follow from a changed field are computed again.
+        Limits and other values that depend on a changed field are computed again.
 
         Parameters
         ----------
@@ -209,8 +209,9 @@ class Scenario(Part):
         Parameters
         ----------
         changes : mapping
-            New values, nested as in a scenario file, or by dotted path, or both mixed. A table
-            keeps the fields that `changes` does not name; a list is replaced as a whole.
+            New values, nested as in a scenario file or by dotted path. Both forms may be mixed. In
+            a table, only the fields that `changes` names are changed. A list is replaced as a
+            whole.
 
         Returns
         -------
@@ -238,8 +239,8 @@ class Scenario(Part):
     def lasting(self, duration: float, passing_times: Sequence[float] = ()) -> Self:
         """Return the scenario with a fixed duration and, optionally, passing times of waypoints.
 
-        The copy has no limits on the duration and no price of time. The price of time is the energy
-        that the planner adds for each second of a free duration.
+        The copy has no limits on the duration and no price of time, because both apply only to a
+        free duration. The price of time is the energy equivalent of one second of flight [W].
 
         Parameters
         ----------
@@ -306,9 +307,9 @@ class Scenario(Part):
         The tuple holds two times for each waypoint in order: the arrival at the waypoint and the
         departure from it. The last number is the end time of the flight.
 
-        A leg is the flight from one place (start, waypoint or goal) to the next. The vehicle needs
-        the least time for a leg if it accelerates fully over the first half and decelerates fully
-        over the second half. The estimated time of the leg is twice this least time.
+        A leg is the flight from one place (start, waypoint or goal) to the next. Its least time
+        follows from full acceleration over the first half of the leg and full deceleration over the
+        second half. The estimated time of the leg is twice this least time.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -334,11 +335,15 @@ class Scenario(Part):
     def keeps_yaw(self) -> bool:
         """Whether the plan keeps the heading constant throughout the flight.
 
-        The field `mission.yaw` decides, if it is given. By default the heading is constant if the
-        power model is `momentum`, the attitude kinematics are exact and no turn is prescribed.
+        If the field `mission.yaw` is given, it decides. Otherwise the heading is constant if all of
+        these hold:
 
-        Without this rule the best heading would not be unique, because a turn costs almost no
-        energy in the power model `momentum`. A constant heading is also usual for autopilots.
+        - The power model is `momentum`.
+        - The attitude kinematics are exact.
+        - The mission prescribes no turn.
+
+        In the power model `momentum` a turn costs almost no energy, so that many headings are
+        optimal. A constant heading makes the optimum unique, and is also usual for autopilots.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
@@ -354,8 +359,8 @@ class Scenario(Part):
     def release_schedule(self) -> Callable[[float], float]:
         """Return a function of time [s] that gives the mass released so far at waypoints [kg].
 
-        The payload of a waypoint is released when the flight leaves the waypoint. A time of
-        departure that is not prescribed is estimated by `nominal_times`.
+        The payload of a waypoint is released when the flight leaves the waypoint. The times of
+        departure are those of `nominal_times`, prescribed or estimated.
         """
         left = self.nominal_times[1:-1:2]
         dropped = [
@@ -387,8 +392,8 @@ class Scenario(Part):
     def contradictions(self) -> tuple[Contradiction, ...]:
         """Physical contradictions between the vehicle's numbers.
 
-        The result is empty if the equations come from the user's own Python function (field
-        `model`). Such equations may use other numbers than those of the scenario.
+        If the equations come from a user's own Python function (field `model`), the result is
+        empty, because the function may use other numbers than the scenario.
         """
         if self.model is not None:
             return ()
@@ -398,8 +403,8 @@ class Scenario(Part):
     def remarks(self) -> tuple[str, ...]:
         """Remarks on numbers of the vehicle that are physically possible but doubtful.
 
-        The result is empty if the equations come from the user's own Python function (field
-        `model`). Such equations may use other numbers than those of the scenario.
+        If the equations come from a user's own Python function (field `model`), the result is
+        empty, because the function may use other numbers than the scenario.
         """
         if self.model is not None:
             return ()
@@ -536,9 +541,9 @@ class Scenario(Part):
 def _meaning(name: str) -> str:
     """Return the meaning of a vehicle's field in a few words, for error messages.
 
-    `name` is the name of the field. The result is a part of the field's description. The part
-    begins after the last colon, or at the start of a description without a colon. The part ends
-    before the next comma, or at the end of the description.
+    `name` is the name of the field. The meaning is taken from the field's description: the text
+    after the last colon, up to the next comma. For example, the description "momentum: radius of
+    one rotor (R)" gives "radius of one rotor (R)".
     """
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]

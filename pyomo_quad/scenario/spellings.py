@@ -1,6 +1,7 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-Two notations are converted: a wind direction by the key `from`, and a place on earth.
+Two notations are converted: a wind direction by the key `from`, and a place by its latitude and
+longitude.
 
 The key `from` of a wind, such as `wind.from = 270`, is the direction from which the wind blows, in
 degrees clockwise from north. The key is replaced by the field `wind.direction`, the direction

@@ -3,12 +3,14 @@
 Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
 below the ground, or nowhere above it.
 
-A surface above the ground is constructed from the spline through the heights. In each cell of the
-grid, spline minus ground is a polynomial. The least Bernstein coefficient of the polynomial is a
-lower bound of its values. If this bound is negative, all B-spline coefficients that influence the
-cell are raised by the magnitude of the bound. Each Bernstein coefficient of the spline is an
-average of B-spline coefficients, and therefore rises by at least the same amount. No Bernstein
-coefficient of spline minus ground remains negative.
+A surface above the ground is constructed from the cubic spline through the heights. In each cell of
+the grid, the difference d = spline - ground is a polynomial. Its values are at least its least
+Bernstein coefficient. If this coefficient is negative, -b say, all B-spline coefficients that
+influence the cell are raised by b. Each Bernstein coefficient of the spline is a weighted average
+of these B-spline coefficients, and therefore rises by at least b. Afterwards all Bernstein
+coefficients of d, and thus d itself, are at least zero. The coefficients are raised in eleven
+passes, each with new values of b: ten times by 0.3 b, then once by b. The smaller raises keep the
+surface closer to the ground.
 
 A surface below the ground is the mirror image of a surface above the mirrored ground. Mirroring
 multiplies the heights by -1.
@@ -63,8 +65,8 @@ class Surface:
     def at(self, places: ArrayLike) -> FloatArray:
         """Return the height of the surface at places [m].
 
-        The ground outside the grid is not known. There the result is the height at the nearest
-        place on the border of the grid, for figures that show the surroundings.
+        Outside the grid, where the ground is not known, the result is the height at the nearest
+        place on the border of the grid. Figures of the surroundings need a value there.
 
         Parameters
         ----------
@@ -114,7 +116,7 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     def above(spline: FloatArray) -> FloatArray:
         """Return the Bernstein coefficients of spline minus ground in each cell of the grid.
 
-        For a surface below the terrain, the ground is mirrored: its heights are multiplied by -1.
+        For a surface below the terrain, the heights of the ground are multiplied by -1 beforehand.
 
         Parameters
         ----------
@@ -142,9 +144,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
     """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
-    Between the points, the returned heights are interpolated bilinearly. The interpolated height at
-    a place is at least the height of the ground anywhere on the straight line from this place to
-    the home. Derivation: docs/theory/homing.md, eq. (7).
+    Between the points, the returned heights are to be interpolated bilinearly. At each place, the
+    interpolated height is at least the height of the highest ground on the straight line from the
+    place to the home. Derivation: docs/theory/homing.md, eq. (7).
 
     Parameters
     ----------
@@ -289,7 +291,7 @@ class _Axis:
     def greatest(self, of_cells: FloatArray) -> FloatArray:
         """Return, for each spline coefficient, the greatest value of the cells that it influences.
 
-        A coefficient influences a cell of the grid if the spline in this cell depends on it.
+        A coefficient influences a cell if the spline in this cell depends on the coefficient.
 
         Parameters
         ----------

@@ -236,7 +236,7 @@ class Baseline(Part):
     def has_default_gains(self) -> bool:
         """Whether the scenario leaves the controller's gains at their default values.
 
-        A search for margins may then replace them by faster gains.
+        If it does, the search for safety margins may replace them by faster gains.
         """
         return self.gains == Gains()
 

@@ -1,8 +1,8 @@
 """Conversion of values in other units, given by keys such as `roll_max_deg`, to SI units.
 
 The Pydantic class of a table declares each field in SI units. A key such as `roll_max_deg` states
-the field `roll_max` in degrees. The conversion is the first step when a scenario is read. All later
-steps handle only declared fields.
+the field `roll_max` in degrees. The conversion is the first step when a scenario is read, so that
+all later steps handle SI units only.
 """
 
 from collections.abc import Iterator, Mapping

@@ -261,7 +261,7 @@ class WindGrid(Part):
         -------
         ndarray of bool, shape (n,)
             True where the place and time are inside the grid and the wind at the nearest grid point
-            is not missing.
+            is known.
         """
         import numpy as np  # noqa: PLC0415  see `components`
 
@@ -404,9 +404,9 @@ class Wind(Part):
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
         """Yield an error message if the wind at a place is missing at all times of the wind field.
 
-        The wind is missing outside the grid of the field, and where the file has no value. Nothing
-        is yielded without a wind field, or if a missing wind is replaced by the nearest known wind
-        (`wind.beyond` is "hold").
+        The wind is missing outside the grid of the field, and where the file has no value. The
+        function acts only if the scenario has a wind field and `wind.beyond` is "refuse". With
+        "hold", a missing wind is replaced by the nearest known wind.
 
         Parameters
         ----------
@@ -498,10 +498,9 @@ def with_air_density(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        Tables of the original scenario, if `tables` belongs to a changed copy of a complete
-        scenario. The coefficients in `tables` are then valid at the air density of the original
-        scenario. None for a new scenario, whose coefficients are valid at the air density at sea
-        level.
+        Tables of the original scenario, if `tables` is a changed copy of them. The coefficients in
+        `tables` are then valid at the air density of the original scenario. None for a new
+        scenario, whose coefficients are valid at the air density at sea level.
     provenance : dict
         Origin of each value by dotted path. The function changes the origins of scaled values.
 
@@ -540,12 +539,12 @@ _DRAG = (
 def with_coupling(
     tables: dict[str, Any], own: Mapping[str, Any], provenance: dict[str, str]
 ) -> dict[str, Any]:
-    """Set the default of the wind's coupling, that is, of how the wind acts on the vehicle.
+    """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
-    By default the wind acts through the drag, which depends on the airspeed. Through the drag, the
-    wind would not act on a vehicle without drag coefficients. For such a vehicle the default
-    coupling is the acceleration of eq. (9) of Yacef et al. as printed. By default the wind of the
-    forecast has the same coupling as the actual wind. Couplings that the scenario gives are kept.
+    The default depends on the vehicle. If the vehicle has drag coefficients, the wind acts through
+    the drag, which depends on the airspeed. Otherwise the wind acts as an acceleration by eq. (9)
+    of Yacef et al. as printed. The wind of a forecast has the coupling of the actual wind by
+    default. Couplings that the scenario gives are kept.
 
     Parameters
     ----------

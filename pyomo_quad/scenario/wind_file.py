@@ -43,9 +43,9 @@ def read_wind_file(
     longest : tuple of str and object
         Dotted path and value [s] of the scenario field that limits the duration of the mission.
     time_offset : object
-        Time in the file [s] at which the mission starts. If the duration or this time is not a
-        number, the function does not check that the wind covers the mission. The validation of the
-        scenario refuses such values later.
+        Time in the file [s] at which the mission starts. The duration and this time are as written
+        by the user. If one of them is not a number, the check that the wind covers the mission is
+        skipped; the scenario is refused later, when it is validated.
 
     Returns
     -------

@@ -29,11 +29,10 @@ def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw the distance of simulated flights from their plan over time.
 
     RotorPy's model differs from the package's own model in several features. For example, its
-    rotors cause no gyroscopic moment. Each line is one flight in RotorPy. In most of the flights,
-    exactly one feature differs from the package's model, and the line shows the effect of this
-    feature. Two more lines are for comparison: a flight in which no feature differs, and a flight
-    with RotorPy's own defaults. The first panel has flights without feedback, the second panel
-    flights under the adaptive controller.
+    rotors cause no gyroscopic moment. Each line is one flight in RotorPy, and most lines show the
+    effect of one such feature alone. Two more lines are for comparison: a flight in which RotorPy's
+    model equals the package's model, and a flight with RotorPy's own defaults. The first panel has
+    flights without feedback, the second panel flights under the adaptive controller.
 
     Parameters
     ----------

@@ -1,10 +1,12 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
 The plans of the missions are flown by the package's own vehicle model (the "declared" vehicle) and
-by RotorPy's vehicle. Each plan is flown with the package's controller and without feedback, and in
-RotorPy also with RotorPy's controller SE3. RotorPy's model differs from the package's model in
-several features. For example, its rotors cause no gyroscopic moment. Each feature is switched on or
-off alone, to find its contribution to the difference between the flights.
+by RotorPy's vehicle. Each plan is flown under the package's controller and without feedback. In
+RotorPy it is also flown under RotorPy's controller SE3.
+
+RotorPy's model differs from the package's model in several features. For example, its rotors cause
+no gyroscopic moment. Each feature is changed alone, to find its contribution to the difference
+between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -169,8 +171,8 @@ class OutsideStudy:
         One row for each flight, in RotorPy or in the package's own model, with the columns of
         `OutsideColumn`.
     tracks : mapping
-        Array of times [s] and array of distances from the plan [m], for each flight that follows a
-        plan. The key is the triple of mission, vehicle and controller.
+        Distance from the plan over time, for each flight that follows a plan: an array of times [s]
+        and an array of distances [m]. The key is the triple of mission, vehicle and controller.
     lag_s : float
         Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
     """
@@ -189,8 +191,8 @@ class OutsideStudy:
         Parameters
         ----------
         case : str
-            Name in the column "case": a key of the mapping of missions `CASES`. For the flights of
-            RotorPy's own vehicles, it is the name of the vehicle's parameter set.
+            Name in the column "case": a key of the mapping of missions `CASES` or, for RotorPy's
+            own vehicles, the name of the vehicle's parameter set.
         plant : Plant
             Simulated vehicle.
         controller : str
@@ -231,8 +233,8 @@ class Arrivals(NamedTuple):
 def arrivals(flights: pd.DataFrame, controller: str) -> Arrivals:
     """Count the flights of one controller in RotorPy, by their outcome.
 
-    A flight is confirmed if a simulation by a second integrator gives the same result. Arrivals at
-    the goal are counted among the confirmed flights only.
+    A flight is confirmed if a simulation by a second integrator gives the same result. An arrival
+    at the goal counts only if the flight is confirmed.
 
     Parameters
     ----------
@@ -437,9 +439,8 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
-    The mission of Yacef et al. is changed: it gets RotorPy's vehicle, exact attitude kinematics,
-    another goal and duration, the shaft power as its power model, and another solver tolerance.
-    All other settings are kept.
+    These parts of the mission of Yacef et al. are replaced: vehicle, goal, duration, attitude
+    kinematics (exact), power model (shaft power) and solver tolerance. All other settings are kept.
 
     Parameters
     ----------
@@ -478,10 +479,10 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights whose commanded position jumps from start to goal at once.
 
-    The flights show the effect of an upper limit on the rotor acceleration. The first flight is of
-    the package's own vehicle model under the adaptive controller. Four flights in RotorPy follow:
-    with and without the limit, each under the adaptive controller and under RotorPy's SE3. Each
-    description holds the function that simulates its flight.
+    The flights show the effect of an upper limit on the rotor acceleration. The first flight is one
+    of the package's own vehicle model under the adaptive controller. Four flights in RotorPy
+    follow, under the adaptive controller and under RotorPy's SE3, each with and without the limit.
+    Each description holds the function that simulates its flight.
 
     Parameters
     ----------
@@ -500,11 +501,14 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
 
-    All flights are in RotorPy under SE3. In two flights the controller has larger gains: along a
-    smooth reference trajectory, and along the plan. In a third flight, along the smooth trajectory,
-    the controller has its usual gains and a feedforward of the aerodynamic force. Each description
-    holds the function that simulates its flight. `mission` is the mission of all flights, and
-    `plant` the simulated vehicle.
+    All flights are in RotorPy under SE3:
+
+    - along a smooth reference trajectory, with larger gains;
+    - along the smooth trajectory, with the usual gains and a feedforward of the aerodynamic force;
+    - along the plan, with larger gains.
+
+    Each description holds the function that simulates its flight. `mission` is the mission of all
+    flights, and `plant` the simulated vehicle.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -517,9 +521,9 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    The returned path has the positions and velocities of `path`. Its accelerations are those of
-    `path` minus the aerodynamic force divided by the mass. A controller that follows the returned
-    path thus compensates the aerodynamic force.
+    The returned path has the positions and velocities of `path`. Its acceleration is a - F / m,
+    where a is the acceleration of `path`, F the aerodynamic force and m the mass of the vehicle. A
+    controller that follows the returned path thus compensates the aerodynamic force.
 
     Parameters
     ----------
@@ -546,10 +550,13 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
     """Yield descriptions of flights of one of RotorPy's vehicles, in both simulation models.
 
-    The models are RotorPy's and the package's own. All flights follow the plan of `mission`, a
-    mission of this vehicle. In both models, one flight is without feedback and one under the
-    adaptive controller. Two more flights in RotorPy are under RotorPy's controller SE3. In one of
-    them the heading of the plan is turned by the angle between the body axes of the two models.
+    All flights follow the plan of `mission`, a mission of the vehicle:
+
+    - in the package's own model: without feedback, and under the adaptive controller;
+    - in RotorPy: without feedback, under the adaptive controller, and under RotorPy's SE3;
+    - in RotorPy under SE3 once more. The commanded heading is turned by the angle between the body
+      axes of the two models.
+
     Each description holds the function that simulates its flight.
     """
     theirs = OutsidePlant(
@@ -595,14 +602,13 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row compares a flight in RotorPy with a flight of the package's own model along the same
-    reference trajectory. It contains the difference of the two energies in percent, and the
-    distance between the two final positions.
+    The row of a flight in RotorPy compares it with a flight of the package's own model along the
+    same reference trajectory. The row contains the difference of the two energies in percent, and
+    the distance between the two final positions.
 
-    A flight in RotorPy is compared only with flights of the package's own model that precede it in
-    `flights`. It is compared with the flight under the same controller if there is one, and
-    otherwise with the flight under the adaptive controller. A flight of the package's own model is
-    compared with itself.
+    The flight of the package's own model must come earlier in `flights`. It is the flight under the
+    same controller or, if there is none, the flight under the adaptive controller. A flight of the
+    package's own model is compared with itself, so that its differences are 0.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
-The energy is what the vehicle takes from the terminals of its battery. The charge also covers the
-loss in the battery, where the current heats the internal resistance. Variations of the power
-increase this loss, so that the two objectives may have different optima.
+The energy is measured at the terminals of the battery. The charge also pays for the loss inside the
+battery, where the current heats the internal resistance. At equal mean power, this loss is greater
+if the power varies. The two objectives may therefore have different optima.
 
 The scenario's field `mission.aim` selects the objective of a plan. This module also solves the
-mission for the objective that is not selected, on the mesh of the plan, and tabulates both plans.
+mission for the other objective, on the mesh of the plan, and tabulates both plans.
 """
 
 from typing import TYPE_CHECKING
@@ -32,9 +32,9 @@ _LONGEST_S = 10.0
 class AimColumn(TableColumn):
     """Columns of the table that compares the plans of least energy and least charge.
 
-    Each row of the table is one of the two plans. The columns are, from left to right: objective
-    of the plan, energy, charge, and whether the plan is that of the run. The other plan was solved
-    only for the comparison.
+    Each row of the table is one of the two plans. The columns are, from left to right: objective of
+    the plan, energy, charge, and whether the plan is the run's own plan. The other of the two plans
+    was solved only for the comparison.
     """
 
     AIM = "aim"
@@ -62,9 +62,9 @@ def energy_and_charge(
     """Return energy and charge of a plan and of the plan for the other objective.
 
     The two objectives are least energy and least charge. The scenario's field `mission.aim` selects
-    the objective of the given plan. The mission is solved for the other objective on the mesh of
-    the given plan, without mesh refinement. The given plan is the initial guess. A simulation
-    checks the result. The solve is stopped after ten seconds of processor time.
+    the objective of the given plan. The function solves the mission for the other objective. The
+    given plan is the initial guess, and its mesh is used without refinement. The solve is stopped
+    after ten seconds of processor time. A simulation checks the result.
 
     Parameters
     ----------
@@ -79,10 +79,13 @@ def energy_and_charge(
     -------
     DataFrame
         One row for each of the two plans, the plan of least energy first, with the columns
-        `AimColumn`. The table is empty in each of these cases: no simulation confirmed the given
-        plan to the requested accuracy; the objective of the given plan is the least time; the solve
-        for the other objective fails; the vehicle model is a user's own; the attitude equations are
-        those of Yacef et al. (`vehicle.attitude` is "paper").
+        `AimColumn`. The table is empty in each of these cases:
+
+        - The given plan is not verified (confirmed by simulation to the requested accuracy).
+        - The objective of the given plan is the least time.
+        - The solve for the other objective fails.
+        - The vehicle model is a user's own.
+        - The attitude equations are those of Yacef et al. (`vehicle.attitude` is "paper").
     """
     scenario = plan.scenario
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
@@ -124,8 +127,8 @@ def disagreement(aims: "pd.DataFrame") -> tuple[str, ...]:
     Returns
     -------
     tuple of str
-        The warning, or empty. There is a warning if the plan of least energy exceeds the least
-        charge by more than the fraction `DISAGREEMENT`, a constant of this module.
+        The warning, or empty. There is a warning if the result of `charge_beyond_least` exceeds
+        `DISAGREEMENT`, a constant of this module.
     """
     if aims.empty or charge_beyond_least(aims) <= DISAGREEMENT:
         return ()

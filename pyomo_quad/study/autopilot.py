@@ -3,15 +3,15 @@
 A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
 limit on acceleration and one on jerk. The module `flight.routes` computes this motion.
 
-A plan saves energy in comparison with an autopilot. The saving means little if the three settings
-of the autopilot (speed, acceleration and jerk) are poor. Nelder and Mead's method therefore
-searches for the settings of least energy. Each flight of the search is simulated under the
-controller. A flight that breaks a limit of the vehicle or misses the goal is penalised. One triple
-of settings serves the whole mission.
+The energy saving of a plan is measured against an autopilot. For a fair comparison, the three
+settings of the autopilot (speed, acceleration and jerk) are tuned for least energy, by Nelder and
+Mead's method. Each flight of the search is simulated under the controller. A flight that breaks a
+limit of the vehicle or misses the goal is penalised. One triple of settings serves the whole
+mission.
 
-If all legs are long compared with the distance that the vehicle needs to reach its speed, the
-energy is nearly the energy of steady flight. The search then begins at the speed of least energy
-per metre in steady flight, and tries speeds near this speed.
+On long legs, nearly all of the flight is steady. If all legs are long compared with the distance of
+acceleration, the search therefore begins at the speed of least energy per metre in steady flight,
+and tries speeds near this speed.
 """
 
 from dataclasses import dataclass, replace
@@ -123,8 +123,8 @@ class Tuning:
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
         The best settings: limits on speed, acceleration and jerk. On short legs, the reference
-        trajectory may not reach the limit on speed or acceleration. Such a limit is lowered to the
-        largest value that the trajectory reaches. This does not change the flight.
+        trajectory may stay below the limit on speed or acceleration. The attribute then holds the
+        largest value that the trajectory reaches, which gives the same flight.
     tried : tuple of TriedCruise
         All settings that the search tried, in the order tried.
     """
@@ -139,10 +139,10 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    When the autopilot's reference trajectory reaches the goal, it stays there until the vehicle is
-    near the goal and nearly at rest. This wait is at most the longest time in `SETTLINGS_S`, a
-    tuple of waiting times [s]. In a mission of fixed duration, the wait lasts at least to the end
-    of the mission.
+    At its end, the autopilot's reference trajectory waits at the goal until the vehicle is near the
+    goal and nearly at rest. The longest wait is the last item of `SETTLINGS_S`, a tuple of waiting
+    times [s]. In a mission of fixed duration, the flight lasts at least until the end of the
+    mission.
 
     Parameters
     ----------
@@ -174,9 +174,9 @@ def _with_longest_wait(
 ) -> tuple[Scenario, Dynamics]:
     """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
 
-    The wait is the longest time in `SETTLINGS_S`, a tuple of waiting times [s]. The callers
-    simulate the flight with this wait, and then look for the first time at which the vehicle has
-    arrived and the flight can end.
+    The wait is the last and longest item of `SETTLINGS_S`, a tuple of waiting times [s]. The
+    callers simulate the flight with this wait, and then end it at the first time at which the
+    vehicle has arrived.
 
     Parameters
     ----------
@@ -208,10 +208,13 @@ def _least(scenario: Scenario) -> float:
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
     """Return the time at which a simulated flight of an autopilot can end [s].
 
-    The flight can end when the vehicle is near the goal and nearly at rest. It must not end before
-    the reference trajectory reaches the goal. In a mission of fixed duration, it must not end
-    before the end of the mission, either. If the vehicle does not arrive, the result is the last
-    time in `flown`.
+    The flight can end at the first time at which all of these hold:
+
+    - The vehicle is near the goal and nearly at rest.
+    - The reference trajectory has reached the goal.
+    - In a mission of fixed duration, the duration has elapsed.
+
+    If there is no such time, the result is the last time in `flown`.
 
     Parameters
     ----------
@@ -222,7 +225,7 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
     flown : Flown
         The flight, simulated with a long wait at the goal.
     dynamics : Dynamics
-        Gives the names of the states in `flown`.
+        Dynamics with the names of the states in `flown`.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -335,11 +338,10 @@ def _start_of_search(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the initial simplex of the search for an autopilot's settings, as two triples.
 
-    Nelder and Mead's method searches for the three settings of least energy: the limits on speed,
-    acceleration and jerk. The first triple is one vertex of the initial simplex. The second triple
-    has a factor for each setting. Each of the three other vertices is the first vertex with one
-    setting multiplied by its factor. `scenario` is the mission, and `planner` holds the compiled
-    equations.
+    Nelder and Mead's method searches for the best limits on speed, acceleration and jerk. The
+    simplex has four vertices. The first is the triple `settings`. Each other vertex has one of the
+    three settings multiplied by its factor in the triple `factors`. `scenario` is the mission, and
+    `planner` holds the compiled equations.
 
     Returns
     -------

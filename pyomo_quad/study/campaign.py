@@ -4,9 +4,9 @@ A campaign uses one or more battery charges. On one charge, each flight starts w
 charge, relaxation voltage and temperature that the battery has at the end of the flight before it.
 The previous plan of a mission is the initial guess for its next plan.
 
-Flights are added on one charge as long as a plan exists for the next flight. No plan exists if the
-flight would leave less charge than the reserve, or if the voltage would fall below its limit. The
-battery does not rest between two flights on one charge, and it does not age.
+The flights on one charge end when the next flight has no plan. This is the case if the flight would
+leave less charge than the reserve, or if the voltage would fall below its limit. The battery
+neither rests between two flights on one charge, nor ages.
 """
 
 from collections.abc import Iterator, Sequence
@@ -98,7 +98,7 @@ class Campaign(Summarised):
     flights : tuple of CampaignFlight
         All flights, in order.
     endings : tuple of str
-        For each battery charge, the reason in words why the flights on it ended.
+        For each battery charge, the reason in words why no further flight was possible.
     """
 
     missions: tuple[Scenario, ...]
@@ -163,8 +163,8 @@ def fly_campaign(
     ------
     ScenarioError
         If the missions have different batteries, or if a mission takes its equations from a user's
-        own Python function (scenario field `model`). A campaign reads the state of charge of the
-        battery that the scenario declares. A user's function may model another battery, or none.
+        own Python function (scenario field `model`). A campaign needs the state of charge of the
+        scenario's battery, and a user's function may lack it.
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))
@@ -258,8 +258,8 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
     """Return the limits that a mission's previous plan would break on the remaining charge.
 
-    The limits explain why a campaign has no further flight. The controls of the previous plan are
-    simulated from the present state of the battery.
+    The function simulates the controls of the previous plan from the present state of the battery.
+    The limits that break explain why the campaign has no further flight.
 
     Parameters
     ----------

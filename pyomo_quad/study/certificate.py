@@ -64,9 +64,8 @@ class ThrustMoments:
     weights : ndarray, shape (2, n, 3)
         Dimensionless weights of the thrust in the first and the second integral, at the nodes,
         along each axis. The first weight is 1. The second is (k(t) - mean of k over the flight) /
-        duration. If the velocity is increased at the time t, the vehicle is further along the axis
-        at the end of the flight. k(t) is this additional distance divided by the increase of the
-        velocity (docs/theory/bound.md, eq. (3)).
+        duration. An increase of the velocity by dv at the time t moves the end of the flight by
+        k(t) dv along the axis (docs/theory/bound.md, eq. (3)).
     demanded : ndarray, shape (2, 3)
         Values of the first and the second integral that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
@@ -88,12 +87,11 @@ class ThrustMoments:
         self.mean_thrust = total / duration
 
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the price of thrust: the thrust vector's multiplier at each quadrature node.
+        """Return the multiplier (price) of the thrust vector at each quadrature node.
 
-        In the dual problem (docs/theory/bound.md, eq. (8)) each of the two weighted integrals of
-        the thrust has a Lagrange multiplier. At a node, the multiplier of each integral is
-        multiplied by the weight that the thrust has in this integral. The price of thrust is the
-        sum of the two products.
+        In the dual problem (docs/theory/bound.md, eq. (8)), each of the two weighted integrals of
+        the thrust has a Lagrange multiplier. The price at a node is a vector: the sum over both
+        integrals of the multiplier times the weight at this node.
 
         Parameters
         ----------
@@ -114,7 +112,7 @@ class ThrustMoments:
     def supplied(self, thrust: FloatArray) -> FloatArray:
         """Return the two weighted integrals of a given thrust over the flight.
 
-        The thrust of any flight of the mission has integrals equal to the attribute `demanded`.
+        For every flight of the mission, the two integrals equal the attribute `demanded`.
 
         Parameters
         ----------
@@ -143,18 +141,19 @@ class ThrustMoments:
 
         Notes
         -----
-        The mission fixes the values of two weighted integrals of the thrust, the attribute
-        `demanded`. Let x be any multipliers of the integrals, and price(x) the price vector as a
-        function of time (method `price`). Then x . demanded is the integral of price(x) . thrust
-        over the flight. If the thrust never exceeds u, then x . demanded <= u * (integral of
-        |price(x)|).
+        Let x be any multipliers of the two integrals, and price(x) the price vector as a function
+        of time (method `price`). For every flight of the mission, x . demanded equals the integral
+        of price(x) . thrust. If the thrust never exceeds u, this integral is at most u times the
+        integral of |price(x)|. Hence
 
-        Among the multipliers with x . demanded = 1, those with the least integral of |price(x)|
-        give the largest lower bound on u. A thrust that attains this bound has the constant length
-        u and the direction of price(x).
+        u >= (x . demanded) / (integral of |price(x)|).
 
-        At a zero of price(x), |price(x)| has a corner as a function of time. The quadrature then
-        has a relative error of about 1e-4.
+        The result is the largest value of the right-hand side over all x. It is found by minimising
+        the integral of |price(x)| with x . demanded = 1. A thrust that attains the bound has the
+        constant length u and the direction of price(x).
+
+        Where price(x) is zero, |price(x)| is not smooth in time. The relative error of the
+        quadrature is then about 1e-4.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -188,7 +187,7 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of the thrust in the two weighted integrals of the thrust, at given times.
+    """Return the weights of the two weighted integrals of the thrust, at given times.
 
     Each integral has the same value for every flight that meets the boundary conditions.
 
@@ -207,10 +206,9 @@ def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[Floa
         Weight of the first integral: 1 along each axis. The momentum balance gives the value of the
         integral (docs/theory/bound.md, eq. (2)).
     lever : ndarray, shape (n, 3)
-        Weight of the second integral along each axis, s. If the velocity is increased by 1 m/s at
-        a time t, the vehicle is further along the axis at the end of the flight. The weight at t is
-        this additional distance, divided by 1 m/s. The displacement from start to goal gives the
-        value of the integral (eqs. (3) and (4)).
+        Weight of the second integral along each axis, s. An increase of the velocity by dv at the
+        time t moves the end of the flight by k(t) dv, where k(t) is this weight. The displacement
+        from start to goal gives the value of the integral (eqs. (3) and (4)).
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
     has_drag = rate > 0.0
@@ -223,9 +221,9 @@ def _standing_moments(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
 
-    The thrust S at rest balances weight and wind. It changes with time if the wind does. The
-    integrals are the terms with S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
-    (4).
+    The thrust S at rest balances the weight and the force of the wind. S changes with time if the
+    wind does. The results are the terms with S on the right-hand sides of docs/theory/bound.md,
+    eqs. (2) and (4).
 
     Parameters
     ----------
@@ -290,7 +288,7 @@ class Certificate:
     Attributes
     ----------
     lower_bound_J : float or None
-        Energy below which no flight of the mission exists; None if no bound is known.
+        Lower bound on the energy of every flight of the mission; None if no bound is known.
     hover_energy_J : float
         Energy of hovering in still air for the duration of the mission, or for the estimated
         duration if the mission leaves the duration free.
@@ -316,8 +314,8 @@ class Certificate:
     def gap_percent(self, energy_J: float) -> float | None:
         """Return the optimality gap of a flight, in per cent of the flight's energy.
 
-        The gap is the difference between the energy of the flight and the lower bound. No other
-        flight of the mission can save more energy than this difference.
+        The gap is the difference between the energy of the flight and the lower bound. Any other
+        flight of the mission can save at most this difference.
 
         Parameters
         ----------
@@ -364,12 +362,15 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
     """Return the largest known lower bound on the energy of a mission [J], and its basis in words.
 
-    Three functions of this module compute lower bounds, each for some missions only.
-    `_bound_as_a_whole` considers the flight from start to goal and ignores the waypoints.
-    `_bound_by_legs` considers each flight from one waypoint to the next. `_bound_by_pairs` is for
-    power or drag that depends on the airspeed. If several bounds are known, the largest is
-    returned. If none is known, the first result is None and the text is the reason. `scenario` is
-    the mission, and `planner` holds the compiled equations of the vehicle.
+    Three functions of this module compute lower bounds:
+
+    - `_bound_as_a_whole` ignores the waypoints and considers the flight from start to goal.
+    - `_bound_by_legs` considers each flight from one waypoint to the next.
+    - `_bound_by_pairs` is for power or drag that depends on the airspeed.
+
+    Each function is valid for some missions only. If no function gives a bound, the first result is
+    None and the text is the reason. `scenario` is the mission, and `planner` holds the compiled
+    equations of the vehicle.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -394,10 +395,8 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
     """Return the reason why `_bound_by_legs` gives no bound for a mission, as part of a sentence.
 
-    The function `_bound_by_legs` computes a lower bound on the energy of the mission from its legs,
-    the flights between waypoints. If the wind changes with time, for example, it gives no bound,
-    and the result is "in a wind that changes with time". The function `_bound_as_a_whole` appends
-    the result to a message such as "no bound is known for a free duration". The result is empty if
+    An example is "in a wind that changes with time". The function `_bound_as_a_whole` appends the
+    reason to a message such as "no bound is known for a free duration". The result is empty if
     `_bound_by_legs` gives a bound.
 
     Parameters
@@ -421,7 +420,7 @@ def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
 def _bound_as_a_whole(
     scenario: Scenario, demand: MomentumDemand, power: _SteadyPower, why_not_by_legs: str
 ) -> _Found:
-    """Bound the energy of flights of fixed duration from below, ignoring waypoints.
+    """Return a lower bound on the energy of flights of fixed duration, without the waypoints.
 
     Parameters
     ----------
@@ -433,8 +432,8 @@ def _bound_as_a_whole(
         Total power as a function of the total thrust, all rotors at one constant speed.
     why_not_by_legs : str
         Reason why the function `_bound_by_legs` gives no bound, from `_why_not_by_legs`. The
-        returned text contains this reason if the mission has waypoints that the bound ignores, or
-        if there is no bound because the duration is free or the mass changes in flight.
+        returned text contains this reason if the mission has waypoints, a free duration, or a mass
+        that changes in flight.
 
     Returns
     -------
@@ -468,10 +467,11 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Bound the energy of flights through the waypoints from below, for all passing times.
+    """Return a lower bound on the energy of flights through the waypoints, for all passing times.
 
-    The bound applies if power and drag do not depend on the airspeed. The passing times of the
-    waypoints, and a free duration, may have any values.
+    A passing time is the time at a waypoint. The bound holds for all passing times and, if the
+    duration is free, for all allowed durations. It requires power and drag that do not depend on
+    the airspeed.
 
     Parameters
     ----------
@@ -518,12 +518,12 @@ def _bound_by_legs(
 
 
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
-    """Return the energy that slowing rotors can give back at the goal after a payload release [J].
+    """Return the energy that the rotors give back as they slow down after a payload release [J].
 
-    After the release the vehicle is lighter. Its rotors therefore turn more slowly in the hover at
-    the goal than at the start, and lose kinetic energy. This energy is subtracted from the lower
-    bound (docs/theory/bound.md, eq. (7)). The result is zero if the mission `scenario` releases no
-    payload. `planner` holds the compiled equations of the vehicle.
+    After the release the vehicle is lighter. Its rotors turn more slowly in hover at the goal than
+    in hover at the start, and have lost kinetic energy. The lower bound on the energy is reduced by
+    the result (docs/theory/bound.md, eq. (7)). The result is zero if the mission `scenario`
+    releases no payload. `planner` holds the compiled equations of the vehicle.
     """
     if not scenario.mission.released:
         return 0.0
@@ -536,14 +536,14 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Bound the energy of flights from below if power or drag depends on the airspeed.
+    """Return a lower bound on the energy of flights if power or drag depends on the airspeed.
 
-    The bound follows from the least power over all combinations (pairs) of thrust and airspeed. The
-    module `study.pairs` computes this bound. For some missions with a wind field, the function
-    `_bound_of_places` computes another lower bound, which takes account of the places at which the
-    winds blow. The larger of the two bounds is returned. `scenario` is the mission, `planner` holds
-    the compiled equations, and `demand` is the thrust that the momentum balance requires for a
-    motion.
+    The module `study.pairs` computes this bound from the least power over all combinations (pairs)
+    of thrust and airspeed. For some missions with a wind field, the function `_bound_of_places`
+    computes a second bound from the winds at each place. The larger of the two bounds is returned.
+
+    `scenario` is the mission, `planner` holds the compiled equations, and `demand` is the thrust
+    that the momentum balance requires for a motion.
 
     Returns
     -------
@@ -599,18 +599,18 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 
 
 def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
-    """Return in words how a bound on the energy was derived.
+    """Return the sentence that explains the basis of the bound from `_bound_by_pairs`.
 
-    The bound is one that follows from the least power over all pairs of thrust and airspeed.
+    That bound follows from the least power over all pairs of thrust and airspeed.
 
     Parameters
     ----------
     scenario : Scenario
         The mission.
     counted : Scenario
-        The mission for which the bound was computed: `scenario` itself, or a copy of `scenario`
-        without waypoints. The copy is used if the mission leaves the order of its waypoints open.
-        The returned text then says that the waypoints are left out.
+        The mission for which the bound was computed. It is `scenario` itself if the order of the
+        waypoints is given. If the order is free, it is a copy of `scenario` without waypoints, and
+        the returned text says so.
     legs : int
         Number of legs, flights from one waypoint to the next, in `counted`.
     of_field : str
@@ -639,11 +639,11 @@ def _bound_of_places(
 ) -> float:
     """Return a lower bound on the energy of any flight through a wind field [J].
 
-    In each horizontal cell of the field's grid, the bound allows for the winds of this cell only
-    (docs/theory/bound.md, eq. (25)). It is therefore tighter than the bound of the module
-    `study.pairs`, which assumes that every wind of the field may blow everywhere. The result is
-    minus infinity if no bound was found. The function `_has_places` states for which missions this
-    function may be called.
+    In each horizontal cell of the field's grid, only the winds of this cell are considered
+    (docs/theory/bound.md, eq. (25)). The bound is therefore tighter than that of the module
+    `study.pairs`, in which every wind of the field may blow everywhere. The result is minus
+    infinity if no bound was found. Call this function only if `_has_places` is true for the
+    mission.
 
     Parameters
     ----------
@@ -668,11 +668,13 @@ def _has_places(
 ) -> bool:
     """Return whether the function `_bound_of_places` may be called for a mission.
 
-    That function computes a lower bound on the energy from the winds that blow at each place of a
-    wind field. It may be called if the mission meets four conditions. The mission has a single leg,
-    without a tolerance on the places of start and goal. A flight may not leave the field: the
-    scenario's `wind.beyond` is not "hold". The winds of the field are horizontal and not all equal.
-    The thrust `standing` is vertical.
+    That function computes a lower bound on the energy from the winds at each place of a wind field.
+    The result is True if all of these hold:
+
+    - The mission has a single leg, and start and goal are exact points.
+    - Flights stay in the field: the scenario's `wind.beyond` is not "hold".
+    - The winds of the field are horizontal, and at least two of them differ.
+    - The thrust `standing` is vertical.
 
     Parameters
     ----------
@@ -708,10 +710,9 @@ def _airspace_clause(scenario: Scenario) -> str:
 
 
 def _obstacles(scenario: Scenario) -> Iterator[str]:
-    """Yield a sentence for each feature of a scenario that prevents a lower bound on the energy.
+    """Yield a sentence for each feature of a scenario for which no lower bound is known.
 
-    No lower bound is known for a scenario with such a feature. An example is a user's own model.
-    If the scenario has no such feature, nothing is yielded.
+    An example of such a feature is a user's own model.
     """
     if scenario.model is not None:
         yield f"no bound is known for a user's own model ({scenario.model})."
@@ -739,9 +740,9 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    The dual function bounds the energy of every flight of the mission from below. It is the
-    right-hand side of docs/theory/bound.md, eq. (8). The search starts from the bound of Jensen's
-    inequality, eq. (9). The result is never below the bound of Jensen's inequality.
+    The dual function is the right-hand side of docs/theory/bound.md, eq. (8). Each of its values is
+    a lower bound on the energy of every flight of the mission. The search starts from the bound of
+    Jensen's inequality, eq. (9), and never returns less than this bound.
 
     Parameters
     ----------
@@ -783,10 +784,10 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    The values cover the allowed range of the rotor speed. The attribute `power` may be negative.
-    Some power models replace a negative power by zero, because braking rotors return no energy. The
-    attribute `power` holds the values before this replacement. It is never larger than the power of
-    the model. A lower bound on the energy that is computed from it is therefore valid.
+    Thrust and power are sampled over the allowed range of the rotor speed. In some power models
+    braking rotors return no energy: these models replace a negative power by zero. The attribute
+    `power` holds the power before this replacement. It is at most the power of the model, and
+    therefore gives a valid lower bound on the energy.
 
     Attributes
     ----------
@@ -794,8 +795,7 @@ class _SteadyPower:
         Total thrust [N], increasing, and total power [W], at samples of the rotor speed.
     is_polynomial : bool
         Whether thrust and power of the Pyomo model are polynomials of the rotor speed. The samples
-        are values of fitted polynomials. If the attribute is true, the samples equal the values of
-        the model to rounding.
+        are values of fitted polynomials. If this attribute is true, the fit is exact to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
@@ -839,11 +839,14 @@ class _SteadyPower:
 
         Notes
         -----
-        The power is a curve over the thrust, known at samples. Between two samples, the curve may
-        be concave or convex. A concave curve lies above the chord between the two samples. A convex
-        curve lies above the straight line through the previous two samples. The function `_below`
-        lowers the samples. The polygon through the lowered samples lies below the chord and below
-        that line. It therefore lies below the curve in both cases.
+        The power as a function of the thrust is a curve of which only samples are known. The
+        function `_below` lowers the samples so that the polygon through them lies below the curve.
+        It uses two straight lines between each sample and the next:
+
+        - the chord between the two samples: a concave curve lies above this line;
+        - the line through the previous two samples, extended: a convex curve lies above this line.
+
+        The polygon lies below both lines, and therefore below the curve in both cases.
 
         The maximum is computed with the power of the polygon. A lower power gives a larger value of
         price * thrust - power. The result is therefore an upper bound on the maximum for the curve.
@@ -885,7 +888,7 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return samples of the power, lowered until the polygon through them is below the curve [W].
+    """Return samples of the power, lowered so that the polygon through them is below the curve [W].
 
     The curve is the power as a function of the thrust. A lower bound on the energy that is computed
     from the lowered samples is valid for the whole curve.

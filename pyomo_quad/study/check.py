@@ -35,10 +35,10 @@ def _caution(subject: str, message: str) -> Finding:
 
 
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Check before the solve whether a mission's battery has enough charge and power.
+    """Yield findings on a mission's battery before the solve: on its charge, power and limits.
 
-    The limits on the battery are checked, too. A finding is the result of one check: a severity,
-    and a message for the user. Nothing is yielded if no fault is found.
+    A finding is the result of a check: its severity and a message for the user. Only faults are
+    yielded.
 
     Parameters
     ----------
@@ -50,10 +50,9 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        If the battery has too little charge or power for the mission, the finding is only a
-        caution. The solve is still possible, because the battery's equations stay finite for an
-        empty battery. If every flight of the mission breaks a limit on the battery, the finding has
-        the severity "impossible".
+        A caution if the battery has too little charge or power for the mission. The solve is still
+        possible, because the battery's equations stay finite for an empty battery. A finding of
+        severity "impossible" if every flight of the mission breaks a limit on the battery.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
@@ -80,10 +79,10 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
     """Yield a finding for each battery limit that every flight of the mission must break.
 
-    The lower bound on the energy, divided by the duration, is a lower bound on the mean power.
-    Every flight breaks a limit that does not permit even this mean power. The limits are those on
-    state of charge, current and voltage of the battery, and on the power as a share of the greatest
-    power that the battery can give.
+    The lower bound on the energy, divided by the duration, is a lower bound on the mean power of
+    every flight. A limit that is broken at this power is broken by every flight. The limits are
+    those on state of charge, current, voltage, and the ratio of the power to the battery's greatest
+    power.
 
     Parameters
     ----------
@@ -139,9 +138,9 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings if the power model is outside its valid range at or near hover.
 
-    An example is a motor that needs more voltage in hover than the battery has. The severity of
-    this finding is "impossible" for a power model that uses the motor's electrical constants, and
-    "caution" for other power models. `steady` computes power and rotor speed in hover.
+    An example is a motor that needs more voltage in hover than the battery has. The finding has the
+    severity "impossible" if the power model uses the motor's electrical constants. For other power
+    models it has the severity "caution". `steady` computes power and rotor speed in hover.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -185,10 +184,12 @@ def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
     """Return the highest rotor speed [rad/s] where chattering takes less power than a steady speed.
 
     Chattering is alternating acceleration and braking, up to the rotor acceleration ``limit``
-    [rad/s^2]. A plan of least energy chatters where chattering takes less power, and then depends
-    on this limit and on the mesh. Rotor speeds between 0.6 and 1.1 times the speed of hover are
-    examined. The result is None if a steady speed takes less power at all these speeds. `steady`
-    computes the power at a given rotor speed and acceleration.
+    [rad/s^2]. If it takes less power than a steady speed, a plan of least energy chatters. The plan
+    then depends on ``limit`` and on the mesh.
+
+    Rotor speeds between 0.6 and 1.1 times the speed of hover are examined. The result is None if a
+    steady speed takes less power at all of them. `steady` computes the power at a given rotor speed
+    and acceleration.
     """
     hover = steady.hover_speed
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
@@ -267,10 +268,11 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
     """Return the strictest limit on the thrust, and the largest thrust that this limit permits [N].
 
-    The strictest limit is returned as text, "field = value". Limits on rotor speed, on thrust and
-    on rotor acceleration are compared. The rotors start and end at hover speed, and can be fastest
-    half way through the flight. The limit on their acceleration therefore limits rotor speed and
-    thrust.
+    The strictest limit is returned as text, "field = value". Three limits are compared: those on
+    rotor speed, thrust and rotor acceleration. The rotors start and end at hover speed. With
+    limited acceleration, their speed is at most hover speed + limit * duration / 2, half way
+    through the flight. The thrust at this speed is the largest thrust that the limit on the
+    acceleration permits.
 
     Parameters
     ----------
@@ -343,11 +345,13 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    The function is called if the mission's own duration is too short. A message then recommends a
-    duration longer than the result. The result is found by doubling and bisection of the duration,
-    starting from the mission's duration. It is infinite if the available thrust is too small for
-    all durations that were tried. It is infinite also if the wind is a series of measurements over
-    time, because the wind after the end of the mission is then unknown.
+    If the mission's duration is too short, a message recommends a duration longer than the result.
+    The result is found by doubling and bisection, starting from the mission's duration. It is
+    infinite in two cases:
+
+    - The available thrust is too small for all durations that were tried.
+    - The wind is a series of measurements over time: the wind after the end of the mission is then
+      unknown.
 
     Parameters
     ----------
@@ -446,8 +450,8 @@ def check_mission(
     Returns
     -------
     tuple of Finding
-        Findings in the order of their severity. The first are those which prove that no flight can
-        satisfy the mission. An empty result does not prove that a flight exists.
+        Findings in the order of their severity. Findings which prove that no flight can satisfy the
+        mission come first. Even if the result is empty, the mission may be impossible.
     """
     told = scenario.as_forecast()
     findings = [*_contradictions(scenario), *_angles_in_degrees(scenario)]
@@ -518,8 +522,8 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
     """Yield a caution if plans of a scenario may tilt further than its controller can follow.
 
-    The scenario's field `baseline.gains.tilt_max` limits the tilt of the controller. The limits on
-    roll, pitch and thrust in the scenario's table `limits` limit the tilt of a plan.
+    The scenario's field `baseline.gains.tilt_max` limits the tilt of the controller. The tilt of a
+    plan is limited by the limits on roll, pitch and thrust in the scenario's table `limits`.
     """
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
@@ -588,10 +592,10 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
     """Yield a caution if a plan with simplified attitude equations in fact misses the goal.
 
-    The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"), which set the
-    Euler rates equal to the body rates. The controls of the plan are simulated with the exact
-    relation between Euler rates and body rates. The caution is given if the simulated flight misses
-    the goal. `planner` holds the compiled equations; None for a new planner.
+    The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"). They set the
+    Euler rates equal to the body rates. The function simulates the plan's controls with the exact
+    relation between Euler rates and body rates. It yields the caution if this flight misses the
+    goal. `planner` holds the compiled equations; None for a new planner.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
@@ -622,9 +626,8 @@ def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
     f_r is the efficiency of motor and rotor in `power.model` "efficiency". In the valid range, the
-    motor's torque and f_r exceed the lower limits that the scenario sets. The range is checked for
-    each rotor at each mesh point of `plan`. The caution states the percentage of these rotor states
-    that are outside the range.
+    motor's torque and f_r exceed the lower limits that the scenario sets. The function checks each
+    rotor at each mesh point of `plan`. The caution states the percentage outside the range.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

@@ -49,26 +49,27 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
     """Simulate a mission twice under the adaptive controller: with and without its adaptation.
 
-    With adaptation, the controller estimates the disturbance acceleration, and compensates it. The
-    disturbance acceleration is the force of the air on the vehicle divided by the mass. Both
+    With adaptation, the controller estimates the disturbance acceleration, and compensates it. Both
     flights follow the same smooth path (quintic polynomial) from start to goal in the actual wind.
 
     Parameters
     ----------
     scenario : Scenario
         The mission, with fixed duration and fixed passing times of the waypoints. The property
-        `mission_flown` of a `Plan` is such a scenario: its times are those of the plan.
+        `mission_flown` of a `Plan` is such a scenario, with the times of the plan.
     dynamics : Dynamics
         Dynamics of the vehicle in the actual wind.
 
     Returns
     -------
     DataFrame
-        One row for each time. The constants `ERROR_WITH`, `ERROR_WITHOUT`, `ESTIMATED` and `TRUE`
-        hold the names of the columns. The error is the distance of the vehicle from the point of
-        the path for that time [m], with adaptation and without. `ESTIMATED` and `TRUE` name three
-        columns each: the x, y and z components of the disturbance acceleration in the flight with
-        adaptation [m/s^2]. `ESTIMATED` is the controller's estimate, `TRUE` the true value.
+        One row for each time. Constants of this module hold the names of the columns:
+
+        - `ERROR_WITH`, `ERROR_WITHOUT`: distance of the vehicle from the path point of the same
+          time [m], with and without adaptation;
+        - `ESTIMATED`: the controller's estimate of the disturbance acceleration, in the flight with
+          adaptation [m/s^2], three columns for x, y and z;
+        - `TRUE`: the true disturbance acceleration in the same flight [m/s^2], three columns.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -175,30 +176,31 @@ def compare_flights(
 
     Notes
     -----
-    Flights are compared at equal end states. A simulated flight ends near the goal. The owed energy
-    is the energy that the vehicle still needs from the end of the flight to the exact goal state.
-    The method `owed_energy` of a `Plan` estimates the owed energy. Let E be the energy of a flight
-    plus its owed energy. Excess over hovering, optimality gap and savings are computed from E.
+    A simulated flight ends near the goal. Its owed energy is the energy that the vehicle would
+    still need to the exact goal state, as the method `owed_energy` of a `Plan` estimates it. Let E
+    be the energy of a flight plus its owed energy. The table contains:
 
-    The table has two savings of the plan compared with a flight, in per cent. The saving is
-    100 (E of the flight - E of the plan) / E of the flight. The saving above hover is the same
-    difference, divided by the excess of the flight: E of the flight - energy of hovering.
+    - excess over hovering: E - energy of hovering for the duration of the flight;
+    - optimality gap: 100 (E - lower bound) / E, in per cent;
+    - saving of the plan: 100 (E of the flight - E of the plan) / E of the flight, in per cent;
+    - saving above hover: 100 (E of the flight - E of the plan) / excess of the flight, in per cent.
 
-    Saving, lower bound and optimality gap are NaN for a flight that did not arrive or broke a
-    limit, because the bound covers only flights that arrive within the limits. They are NaN also
-    for a flight whose owed energy is unknown. A flight has arrived if it ends at the goal and
-    nearly at rest, see `has_arrived`.
+    Lower bound, optimality gap and both savings are NaN for a flight in these cases:
 
-    If the scenario has a wind forecast, all savings are NaN, and lower bound and gap of the plan
-    are NaN, too. The reason is that the plan was made for the forecast wind, whereas the other
-    flights were simulated in the actual wind.
+    - The flight did not arrive (see `has_arrived`) or broke a limit. The bound covers only flights
+      that arrive within the limits.
+    - The owed energy of the flight is unknown.
 
-    The duration of a flight may differ from the duration of the mission. Such a flight has a lower
-    bound only if the certificate covers the flight's duration. Its saving above hover is NaN,
-    because hovering for another duration takes another energy.
+    With a wind forecast, the plan was made for the forecast wind, but the other flights were
+    simulated in the actual wind. All savings are then NaN, and so are lower bound and gap of the
+    plan.
 
-    The saving above hover is NaN for all flights if the plan takes less energy than hovering. It
-    would exceed 100 %.
+    A flight may have another duration than the mission. It then has a lower bound only if the
+    certificate covers this duration. Its saving above hover is NaN, because the energy of hovering
+    depends on the duration.
+
+    The saving above hover is also NaN if the plan takes less energy than hovering, because the
+    saving would exceed 100 %.
     """
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
@@ -258,9 +260,9 @@ def against_hovering(excess_J: float, digits: int = 2) -> str:
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
     """Return whether the duration of a flight differs from the duration of the mission.
 
-    `duration_s` is the duration of the flight [s], and `scenario` is the mission. The energy of a
-    flight is compared with the energy of hovering for an equal duration. If the durations of flight
-    and mission differ, the energy of hovering is therefore scaled to the duration of the flight.
+    `duration_s` is the duration of the flight [s], and `scenario` is the mission. If the durations
+    differ, the energy of hovering is scaled to the duration of the flight before it is compared
+    with the energy of the flight.
     """
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
@@ -367,10 +369,14 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
 class ReplanningColumn(TableColumn):
     """Columns of the table of flights whose plan is solved again during the flight.
 
-    Each row of the table is a flight. The columns are, from left to right: name; energy; distance
-    from the goal at the end; whether the flight arrived; number of solves; numbers of solves that
-    failed, that took longer than the time allowed, and that took longer than the interval to the
-    next solve; and of the times of the solves the median, the 95 % quantile and the longest.
+    Each row of the table is a flight. The columns are, from left to right:
+
+    - name of the flight, and its energy;
+    - distance from the goal at the end, and whether the flight arrived;
+    - number of solves, and number of failed solves;
+    - number of solves that took longer than the time allowed;
+    - number of solves that took longer than the interval to the next solve;
+    - median, 95 % quantile and maximum of the solve time.
     """
 
     FLIGHT = "flight"
@@ -389,11 +395,14 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    The table counts the late solves of each flight. A solve is late if it took longer on this
-    machine than ``settings.solve_time``, the time allowed for a solve. The table also counts the
-    solves that took longer than the interval to the next solve. Both counts use the measured times
-    of the solves. The delay after which a new plan takes effect in the simulated flight may be
-    another time: ``settings.clock`` selects either the measured time or ``settings.solve_time``.
+    The table counts two kinds of slow solves of each flight, by their measured times on this
+    machine:
+
+    - late solves, which took longer than ``settings.solve_time``, the time allowed for a solve;
+    - solves that took longer than the interval to the next solve.
+
+    In the simulated flight, a new plan takes effect after a delay. The delay is the measured time
+    of the solve or ``settings.solve_time``, as ``settings.clock`` selects.
 
     Parameters
     ----------
@@ -432,22 +441,22 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
 
 def is_comparable(flight: Flight) -> bool:
-    """Return whether a flight arrived within all limits and its energy to complete is known.
+    """Return whether a flight arrived within all limits and its owed energy is known.
 
-    The energy to complete is the energy that the vehicle needs from the flight's end state to the
-    exact goal state.
+    The owed energy is the energy that the vehicle needs from the flight's end state to the exact
+    goal state.
     """
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 
 
 def settled_energy(flight: Flight) -> float:
-    """Return the energy of a flight, plus its energy to complete if it arrived [J].
+    """Return the energy of a flight, plus its owed energy if it arrived [J].
 
-    The energy to complete is the energy that the vehicle needs from the flight's end state to the
-    exact goal state. A flight has arrived if it ends at the goal and nearly at rest, as the
-    function `has_arrived` decides. If the flight did not arrive, or if its energy to complete is
-    unknown, the result is the energy of the flight alone.
+    The owed energy is the energy that the vehicle needs from the flight's end state to the exact
+    goal state. A flight has arrived if it ends at the goal and nearly at rest (see `has_arrived`).
+    If the flight did not arrive, or if its owed energy is unknown, the result is the energy of the
+    flight alone.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
@@ -457,7 +466,7 @@ def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
     """Return the comparison tables of many scenarios as one table, one below the other.
 
     `frames` are the tables, each with the columns of `ComparisonColumn`. The rows are numbered
-    anew. The result is a table without rows if there are no tables.
+    anew. If there are no tables, the result has no rows.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -478,10 +487,9 @@ def _percent(part: float, whole: float) -> float:
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
     """Return the values of a comparison row that are computed from a flight's table over time.
 
-    The result maps the columns of the comparison table to the values: the largest power, tilt and
-    rotor acceleration of the flight, the time near the goal, and the battery charge used.
-    `scenario` is the mission with its goal, and `frame` is the flight's table over time, one row
-    for each time.
+    The values are the largest power, tilt and rotor acceleration of the flight, the time near the
+    goal, and the battery charge used. Their keys are columns of the comparison table. `scenario` is
+    the mission with its goal. `frame` is the flight's table, one row for each time.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -508,8 +516,9 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
     The vehicle is near the goal if its distance from the goal is at most the constant
     `INSIDE_DISTANCE_M`. `frame` is the flight's table, one row for each time, and `scenario` has
-    the goal. The interval between two rows counts half if the vehicle is near the goal at one of
-    the rows only. The result is NaN if the table lacks a coordinate of the position.
+    the goal. An interval between two rows counts fully if the vehicle is near the goal at both
+    rows, and half if at one of them. The result is NaN if the table lacks a coordinate of the
+    position.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)

@@ -1,12 +1,14 @@
 """Estimate of the processor time that planning a mission takes, and of each feature's part in it.
 
 Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
-number of unknowns, which is the number of variables per collocation point times the number of
-collocation points of the mesh. Planning may solve the mission for several meshes, routes round
-keep-out zones and orders of the waypoints. The numbers of meshes, routes and orders are known or
-estimated before the solve. The constants of the estimate, such as the time per unknown and
-iteration, were measured by the command `python -m tests.benchmarks resolve missions`. The tables
-that this command prints compare estimates with measured times.
+number of unknowns: the number of variables per collocation point times the number of collocation
+points of the mesh. Planning may repeat the solve for several meshes, routes round keep-out zones
+and orders of the waypoints. The numbers of these repetitions are known or estimated before the
+solve.
+
+The constants of the estimate, such as the time per unknown and iteration, were measured. The
+command `python -m tests.benchmarks resolve missions` prints tables that compare estimated with
+measured times.
 """
 
 from __future__ import annotations
@@ -66,8 +68,7 @@ class Counts:
         Number of flights between two waypoints (legs) that are planned in order to find the best
         order of the waypoints; 0 for a given order.
     is_free, has_wind_table, has_wind_field : bool
-        Whether the duration is free, whether the wind is a measured table, and whether the wind is
-        a field.
+        Whether the duration is free, the wind is a measured table, and the wind is a field.
     cells : int
         Number of grid cells of the wind field or of the terrain that the flight crosses. The
         estimate assumes at least one mesh element for each cell.
@@ -111,8 +112,8 @@ class Effort:
     seconds : float
         Estimated processor time of planning.
     features : tuple of (str, float)
-        Costly features in words, each with its time: planning without the feature would take this
-        much less time [s]. The feature with the largest time is first. The times do not add up to
+        Costly features in words, each with the time that planning without this feature would save
+        [s]. The feature with the largest time is first. The sum of the times differs from
         `seconds`, because the effects of the features multiply.
     """
 

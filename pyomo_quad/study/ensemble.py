@@ -135,11 +135,12 @@ class Ensemble(Summarised):
     def worst(self) -> dict[str, float]:
         """Largest violation of each broken limit over all flights.
 
-        The key is the limit in words. For most limits, the value is the violation divided by the
-        larger of 1 and the limit. Three limits have other values. For the limit on the final
-        distance from the goal, the value is the distance [m]. For the limit on the final speed, the
-        value is the speed [m/s]. For the battery, the value is the fraction of power or charge that
-        the battery lacks.
+        The key is the limit in words. For most limits, the value is (violation / max(1, limit)).
+        Three limits have other values:
+
+        - limit on the final distance from the goal: the distance [m];
+        - limit on the final speed: the speed [m/s];
+        - battery: the fraction of power or charge that the battery lacks.
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
@@ -258,11 +259,14 @@ def fly_cruise_often(
 ) -> Ensemble:
     """Simulate an autopilot, straight between waypoints, many times in random winds.
 
-    With the same seed, the winds are the same as in `fly_plan_often`. In all flights the autopilot
-    waits at the goal for the same time, so that the vehicle can settle. This time is the shortest
-    with which the share `arriving` of the flights arrives, found to `_WAIT_S`. Limits broken on the
-    way do not count here, because a longer wait cannot mend them and would only cost energy. If no
-    time in `SETTLINGS_S` is long enough, the time in it with which most flights arrive is used.
+    With the same seed, the winds are the same as in `fly_plan_often`. At the end of each flight the
+    autopilot waits at the goal, so that the vehicle can settle. The waiting time is equal in all
+    flights. It is the shortest time with which at least the share `arriving` of the flights
+    arrives, with a tolerance of `_WAIT_S`. If all times in `SETTLINGS_S` are too short, the one
+    with which most flights arrive is used.
+
+    A flight that breaks a limit on the way can count as arrived: a longer wait would cost energy
+    without avoiding the violation.
 
     Parameters
     ----------
@@ -352,8 +356,8 @@ class Saving:
         levels of the quantiles. The saving in one wind is 100 (rival - plan) / rival, where `plan`
         and `rival` stand for the energies of the two flights in this wind.
     both_succeeded : int
-        Number of winds in which the flight along the plan and the rival flight arrived and broke no
-        limit. The percentages cover all winds.
+        Number of winds in which both flights arrived within all limits. The percentages cover all
+        winds.
     """
 
     rival: Ensemble
@@ -398,9 +402,10 @@ class InTurbulence:
 
     @property
     def savings(self) -> tuple[Saving, ...]:
-        """The energy saving over the autopilot as a tuple of one item, for reports of ensembles.
+        """The energy saving over the autopilot, as a tuple of one item.
 
-        The tuple is empty if no autopilot was simulated.
+        The tuple is empty if no autopilot was simulated. Reports of ensembles read the savings as a
+        tuple.
         """
         return () if self.saving is None else (self.saving,)
 
@@ -441,7 +446,7 @@ _SEED = 1
 def fly_in_turbulence(
     plan: Plan, cruise: CruiseSettings | None, *, is_tuned: bool = False, planner: Planner
 ) -> InTurbulence | None:
-    """Simulate the flights of a plan, and of an autopilot, in many random winds.
+    """Simulate the flights of a plan, and of an autopilot, in the same random winds.
 
     Parameters
     ----------
@@ -450,16 +455,15 @@ def fly_in_turbulence(
     cruise : CruiseSettings or None
         Speed, acceleration and jerk of the autopilot; with None no autopilot is simulated.
     is_tuned : bool
-        Whether `cruise` holds the settings of least energy. The wording of the result depends on
-        this.
+        Whether `cruise` holds the settings of least energy. If so, the words of the result say it.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
     Returns
     -------
     InTurbulence or None
-        Flights in turbulence. None if the scenario has no turbulence. None also if a simulation of
-        the plan's controls did not confirm the plan, even to wide tolerances.
+        Flights in turbulence. None if the scenario has no turbulence, or if the plan must not be
+        flown: its status is neither `VERIFIED` nor `USABLE`.
     """
     mission = plan.mission_flown
     if mission.wind.turbulence is None or not plan.is_flyable:

@@ -1,9 +1,9 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
 Each point of the front is a flight that minimises energy + price * duration. The price of time [W]
-is a weight: the mission sets one price, and this study uses other prices, too. No other flight
-takes both less time and less energy than a flight of the front. Where the least energy is convex in
-the duration, each price selects one flight, and the slope of the front at this flight is minus the
+is a weight. The mission sets one price, and this study also uses other prices. A flight that is
+shorter than a flight of the front takes more energy. Where the least energy is convex in the
+duration, each price selects one flight, and the slope of the front at this flight is minus the
 price.
 """
 
@@ -48,8 +48,8 @@ def energy_time_front(
 
     The price of time [W] is the weight of the duration in the objective energy + price * duration.
     Each solve starts from the plan, and therefore passes keep-out zones on the same sides as the
-    plan. Each solve uses the mesh of the plan, which is accurate enough for energies. Whether the
-    flights keep the limits between the mesh points is not checked.
+    plan. Each solve uses the mesh of the plan, which is accurate enough for energies. The limits
+    hold at the mesh points. Between the mesh points they are not checked.
 
     Parameters
     ----------
@@ -64,8 +64,8 @@ def energy_time_front(
     -------
     DataFrame
         Columns of `FrontColumn`, one row for each flight, the shortest flight first. The price in
-        the row of the plan is NaN if the plan's objective is the least time. The table is empty if
-        the plan's duration is fixed, or if no simulation confirmed the plan to the requested
+        the row of the plan is NaN if the plan's objective is the least time. The table has rows
+        only if the plan's duration is free and simulation confirmed the plan to the requested
         accuracy.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
@@ -91,8 +91,8 @@ def planned_alike(
 ) -> Plan:
     """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
 
-    If the plan has margins, amounts by which its limits were tightened to keep a risk low, the
-    changed mission has the same margins, so that both plans can be compared.
+    A plan with a limited risk has margins: its limits are tightened, so that flights in turbulence
+    rarely break them. The changed mission has the same margins, so that both plans can be compared.
 
     Parameters
     ----------

@@ -1,11 +1,13 @@
 """Headline of a run: its main results in a few sentences.
 
 The sentences state energy and duration of the plan, its energy saving, and the success of its
-simulated flights in turbulence. The plan is compared with one other flight of the run, the rival.
-Only flights that arrived within the limits can be the rival. The first choice is the flight of the
-autopilot tuned for least energy (module `study.autopilot`). The second choice is the simulated
-flight under the controller along a smooth path (quintic polynomial). The third choice is the flight
-of least energy. The energy saving is the difference in energy between the rival and the plan.
+simulated flights in turbulence. The energy saving is the difference in energy between the plan and
+one other flight of the run, the rival. Only flights that arrived within the limits can be the
+rival. In the order of preference, the rival is
+
+- the flight of the autopilot tuned for least energy (module `study.autopilot`),
+- the simulated flight under the controller along a smooth path (quintic polynomial),
+- the flight of least energy.
 """
 
 from collections.abc import Iterable, Mapping
@@ -69,10 +71,10 @@ class Headline:
         of its simulated flights in turbulence that succeed, and the energy that its safety margins
         cost.
 
-        The plan is normally compared with a single other flight. If an autopilot was simulated in
-        the same turbulence as the plan, many flights of the plan are instead compared with many
-        flights of the autopilot. A single flight in turbulence cannot be compared with the plan,
-        because the plan was made for the mean wind.
+        The plan is normally compared with a single other flight. If the run has many flights of the
+        plan and of an autopilot in turbulence, these two sets of flights are compared instead. In
+        turbulence, a single flight is no fair comparison for the plan, which was made for the mean
+        wind.
         """
         charge = ""
         if self.battery_percent is not None:
@@ -148,9 +150,10 @@ class Headline:
 def headline_of(result: "RunResult") -> Headline | None:
     """Return the headline of a run: its main results and their wording.
 
-    `result` holds the results of the run. The function returns None if a simulation of the plan's
-    controls did not confirm the plan, even to wide tolerances. It also returns None if the plan was
-    made for a forecast of the wind.
+    `result` holds the results of the run. The result is None in two cases:
+
+    - The plan must not be flown: its status is neither `VERIFIED` nor `USABLE`.
+    - The plan was made for a forecast of the wind.
     """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
@@ -175,12 +178,15 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row.
 
     `comparison` is the comparison table of the run, which has one row for each flight. A flight
-    qualifies if the table holds the energy saving of the plan over this flight. The table holds the
-    saving only for flights that arrived within the limits. Two flights do not qualify: the flight
-    of the plan itself, and the simulation of the plan's rotor commands without feedback. The first
-    choice is the flight of the autopilot tuned for least energy. The second choice is the flight
-    under the controller along a smooth path (quintic polynomial). The third choice is the flight of
-    least energy among those that qualify. The result is None if no flight qualifies.
+    qualifies if the table holds the energy saving of the plan over this flight, because it then
+    arrived within the limits. The flight of the plan itself is excluded, and so is the simulation
+    of the plan's rotor commands without feedback. In the order of preference, the result is
+
+    - the flight of the autopilot tuned for least energy,
+    - the flight under the controller along a smooth path (quintic polynomial),
+    - the flight of least energy among those that qualify.
+
+    The result is None if no flight qualifies.
     """
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]
@@ -190,10 +196,10 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 
 
 def settled_of(row: Row) -> float:
-    """Return the energy of a flight until the exact goal state, from its comparison row [J].
+    """Return the energy of a flight plus its owed energy, from its comparison row [J].
 
-    It is the energy of the flight plus the estimated energy that the vehicle still needs from the
-    flight's end state to the exact goal state.
+    The owed energy is the estimated energy that the vehicle still needs from the flight's end state
+    to the exact goal state.
     """
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 

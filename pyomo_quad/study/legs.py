@@ -1,10 +1,10 @@
 """Lower bound on the energy of a flight through waypoints, by Lagrange duality.
 
 A leg is the flight from one waypoint to the next. A passage is the instant at a waypoint. A price
-is the Lagrange multiplier (dual variable) of a condition that every flight of the mission meets:
-the price of momentum belongs to the momentum balance, and the price of time to the limit on the
-duration. As momentum is mass times velocity, the price of momentum times the mass is a price of
-velocity.  Derivation: see docs/theory/bound.md, eqs. (12) and (13).
+is the Lagrange multiplier (dual variable) of a condition that every flight of the mission meets.
+The price of momentum belongs to the momentum balance, and the price of time to the limit on the
+duration. The price of velocity is the price of momentum times the mass. Derivation: see
+docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
@@ -15,25 +15,26 @@ y | price of velocity, J per m/s: m_k times p, linear in time on each leg
 P* | conjugate of the power: maximum over the thrust of (price of thrust * thrust - power)
 A_k, G_k | terms of the bound, J s and W, defined below
 
-With the acceleration a, the thrust is u = m_k a + s_k, and power is at least p . u - P*(|p|) at any
-price p of the thrust. With p = y / m_k the term p . m_k a is integrated by parts. The boundary
-terms vanish at start and goal, where the vehicle is at rest. They cancel at the passages, because
-neither velocity nor y jumps there. So every flight takes at least the energy
+With the acceleration a, the thrust is u = m_k a + s_k. By the definition of P*, the power is at
+least p . u - P*(|p|) for any price p. With p = y / m_k, the term p . m_k a = y . a is integrated by
+parts. The boundary terms vanish at start and goal, where the vehicle is at rest. They cancel at the
+passages, because neither velocity nor y jumps there. So every flight takes at least the energy
 
 sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
 G_k = mean over the leg of p . s_k - P*(|p|).
 
-At a passage with a speed limit y may jump; this lowers the bound by the limit times |jump of y|.
+At a passage with a speed limit y may jump. A jump lowers the bound by the speed limit times |jump
+of y|.
 
-The bound above is for fixed T_k. Now let the T_k be free, and only their sum be limited. Let
-A_k >= 0 on all legs, and let mu be a price of time below all G_k. A second bound is then
+The bound above is for given T_k. Now let only the sum of the T_k be given or limited. Choose y such
+that all A_k >= 0, and a price of time mu that is below all G_k. By the inequality of arithmetic and
+geometric means, A_k / T_k + (G_k - mu) T_k >= 2 sqrt(A_k (G_k - mu)). So every flight takes at
+least the energy
 
 sum over k of  2 sqrt(A_k (G_k - mu)) + mu T_k.
 
-The second bound depends on the T_k only through their sum. It therefore holds for all passing times
-and durations. It is never larger than the bound for fixed T_k. As functions of the T_k, the bound
-for fixed T_k is convex, and the second bound is linear: it is a tangent from below. The two bounds
-touch at T_k = sqrt(A_k / (G_k - mu)), where they are equal and both have the slope mu in every T_k.
+This second bound depends on the T_k only through their sum. It therefore holds for all passing
+times. The two bounds are equal at T_k = sqrt(A_k / (G_k - mu)).
 """
 
 from __future__ import annotations
@@ -81,8 +82,9 @@ class Leg:
     mass : float
         Mass, as a fraction of the mass at the start.
     group : int
-        Index of the leg's group. A group consists of consecutive legs between two passages whose
-        times the mission fixes or limits. The sum of their durations is then fixed or limited, too.
+        Index of the leg's group. A group consists of the consecutive legs between two passages
+        whose times the mission fixes or limits. The mission thus fixes or limits the sum of their
+        durations.
     end_speed : float
         Largest speed at the end of the leg, m/s; infinite without a limit.
     """
@@ -192,17 +194,15 @@ class Itinerary:
         """Return the terms of the lower bound for given prices of velocity, with their gradients.
 
         The lower bound on the energy is the sum over the legs k of A_k / T_k + G_k T_k, plus the
-        term `jumped`. T_k is the duration of leg k. A_k follows from the leg's displacement, and
-        G_k from the thrust that holds the vehicle still; the docstring of this module gives both
-        formulas.
+        term `jumped`. T_k is the duration of leg k. The docstring of this module gives the formulas
+        for A_k and G_k.
 
         Parameters
         ----------
         prices : ndarray, shape (n_prices, 3)
-            Prices y (Lagrange multipliers) of velocity at the ends of the legs, J per m/s: price of
-            momentum times the mass on the leg. The price changes linearly with time along a leg. At
-            a waypoint that limits the speed, the prices before and after the waypoint may differ.
-            At all other waypoints the two prices are equal.
+            Prices y (Lagrange multipliers) of velocity at the ends of the legs, J per m/s. The
+            price changes linearly with time along a leg. A waypoint that limits the speed has two
+            prices, before and after the waypoint. Every other waypoint has a single price.
 
         Returns
         -------
@@ -210,7 +210,7 @@ class Itinerary:
             A_k [J s] and G_k [W] of each leg.
         jumped : float
             Term of the bound for the jumps of the price at waypoints with a speed limit, J: minus
-            the speed limit times the length of the jump, summed over these waypoints; not positive.
+            the sum over these waypoints of (speed limit * length of the jump).
         slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
             Gradients with respect to the prices: first those of the A_k, then those of the G_k,
             last the gradient of `jumped`.
@@ -244,22 +244,20 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        For given durations of the legs, a sum over the legs bounds the energy from below; the
-        docstring of this module gives this sum. The sum depends also on the prices (Lagrange
-        multipliers) of velocity at the ends of the legs. The dual function is the least value of
-        the sum over all allowed durations, and depends on the prices only. Each of its values is a
-        lower bound on the energy. The result is the largest value that a search over the prices
-        finds.
+        The docstring of this module gives a lower bound for given durations of the legs. It depends
+        on the prices (Lagrange multipliers) of velocity at the ends of the legs. The dual function
+        is the least value of this bound over all allowed durations. Each value of the dual function
+        is a lower bound on the energy. The result is the largest value that a search over the
+        prices finds.
 
         Parameters
         ----------
         price : ndarray, shape (3,)
             Price (multiplier) of thrust for the start of the search, W/N. The first prices of
-            velocity, at the ends of the legs, are `price` times the mass at the start of the
-            flight, minus a positive factor times the position relative to the start of the flight.
-            Several factors are tried, and the search begins with the best. On each leg, the price
-            of velocity then changes in the direction opposite to the displacement. The terms A_k of
-            the sum are therefore positive, and the bound is finite.
+            velocity are `price` * mass - factor * position. Here the mass is that at the start, and
+            the position is relative to the start. Several positive factors are tried, and the
+            search begins with the best. With these prices all A_k are positive, and the bound is
+            finite.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -301,8 +299,7 @@ class Itinerary:
     def _by_group(self) -> list[NDArray[np.bool_]]:
         """Return, for each group of legs, a mask that selects the legs of the group.
 
-        A leg is the flight from one waypoint to the next. A group consists of the legs between two
-        fixed times. Each mask has the shape (n_legs,).
+        Each mask has the shape (n_legs,).
         """
         return [self._groups == k for k in range(len(self._shared))]
 
@@ -310,9 +307,9 @@ class Itinerary:
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lengths of vectors, smoothed at zero, and their gradients.
 
-    `vectors` has the shape (n, 3), one vector in each row; the lengths have the shape (n,), the
-    gradients the shape (n, 3). The length of a vector is not differentiable at zero; the smoothed
-    length is slightly larger.
+    `vectors` has the shape (n, 3), one vector in each row. The lengths have the shape (n,), the
+    gradients the shape (n, 3). The exact length is not differentiable at zero. The smoothed length
+    is differentiable everywhere and slightly larger.
     """
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
@@ -323,12 +320,9 @@ def _least_over_times(
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    A leg is the flight from one waypoint to the next. A group consists of the legs between two
-    fixed times.
-
-    This sum is the group's part of the lower bound on the energy of a flight. A_k follows from the
-    displacement of leg k, and G_k from the thrust that holds the vehicle still; the docstring of
-    this module gives both formulas. The sum of the durations T_k in the group is fixed or limited.
+    This sum is the group's part of the lower bound on the energy of a flight. The docstring of this
+    module gives the formulas for A_k and G_k. A group consists of the legs between two times that
+    the mission fixes or limits. The sum of their durations T_k is therefore fixed or limited.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
-The risk of a plan is the allowed share of flights along the plan in turbulence that break a limit.
-The planner simulates test flights of the plan in turbulence. The sentences also say whether a
-flight that breaks limits may be one of the flights that the risk allows. This is only possible if
-the flight breaks no other limits than those that the test flights break most often.
+The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
+simulates test flights of the plan in turbulence. The sentences also say whether the risk covers a
+flight that breaks limits: it does if the flight breaks only limits that the test flights break most
+often.
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,11 +29,11 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
     Limits are those of the scenario, such as the largest speed. Each sentence names the limits that
-    its flight breaks. If no flight breaks a limit, a single sentence says so.
+    its flight breaks. If all flights keep all limits, a single sentence says so.
 
-    The scenario permits a share of the plan's flights in turbulence to break limits. This share is
-    the risk of the plan. Each sentence therefore also says whether its flight may belong to this
-    share. A flight may belong to the share if two conditions hold:
+    The sentence also says whether the risk of the plan covers the flight. The risk is the allowed
+    share of the plan's flights in turbulence that break a limit. It covers a flight if both of
+    these hold:
 
     - The flight is under feedback: a controller tracks the plan, or the plan is solved again during
       the flight with the actual wind known or estimated.
@@ -62,13 +62,12 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 
 
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
-    """Return in words whether a flight that breaks limits is one that the plan's risk allows.
+    """Return in words whether the plan's risk covers a flight that breaks limits.
 
-    The risk is the share of the plan's flights in turbulence that may break a limit. The planner
-    simulates test flights of the plan in turbulence. The risk allows a flight that breaks only
-    those limits that the test flights break most often. For a flight to which the risk does not
-    apply, such as the flight of a controller without the plan, the words say so. `risk` is the
-    record of the risk and of the test flights; None for a plan without risk.
+    The risk covers a flight that breaks only those limits that the planner's test flights in
+    turbulence break most often. For a flight to which the risk does not apply, the words say so. An
+    example is the flight of a controller without the plan. `risk` is the record of the risk and of
+    the test flights; None for a plan without risk.
     """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"

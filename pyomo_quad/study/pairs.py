@@ -1,9 +1,9 @@
 """Lower bound on the energy of flights whose power or drag depends on the airspeed.
 
-Every flight from rest to rest meets three conditions: momentum and kinetic energy of the vehicle
-are the same at both ends, and the position changes by the displacement of the mission.  A price is
-the Lagrange multiplier (dual variable) of one of these conditions.  A pair is a combination of
-thrust and airspeed.  Derivation: see docs/theory/bound.md, eqs. (14) to (23).
+A pair is a combination of thrust and airspeed. Every flight from rest to rest meets three
+conditions: momentum and kinetic energy of the vehicle are the same at both ends, and the position
+changes by the displacement of the mission. A price is the Lagrange multiplier (dual variable) of
+one of these conditions. Derivation: see docs/theory/bound.md, eqs. (14) to (23).
 
 symbol | meaning
 u, v, W | thrust, airspeed and wind, world axes
@@ -15,44 +15,48 @@ m | mass of the vehicle
 p, w, eta | prices of momentum [W/N], of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
-Every flight from rest to rest has m dv/dt = u + f - s.  So over the duration the mean of u + f - s
-is zero. The mean of v . (u + f - s) is zero too, because the airspeed is equal at both ends. The
-mean of v + W is the displacement divided by the duration.  With the prices of these three
-conditions this gives
+In a steady wind, every flight has m dv/dt = u + f - s. Three means over the duration are therefore
+fixed:
+
+- the mean of u + f - s is zero, because the momentum is equal at both ends;
+- the mean of v . (u + f - s) is zero, because the kinetic energy is equal at both ends;
+- the mean of v + W is the displacement divided by the duration.
+
+With the prices of these three conditions this gives
 
 energy >= w . displacement + duration * (least H over all pairs u, v),
 H = P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s).
 
-These equations hold for a steady wind. The wind may also differ from place to place. The kinetic
-energy is then that of the motion relative to air of velocity U, because this energy is equal at
-both ends of the flight. Its price is eta, and p in H is replaced by p + eta (W - U). The least H is
-taken over all pairs and all winds. The least H over the pairs is a concave function of W. Its least
-value over the winds in a polyhedron is therefore found at a corner.
+The wind may also differ from place to place. The kinetic energy is then that of the motion relative
+to air of the constant velocity U. It is equal at both ends, because the vehicle is at rest over
+ground there. Its price is eta, and p in H is replaced by p + eta (W - U). The least H is taken over
+all pairs and all winds. For fixed prices, the least H over the pairs is a concave function of W.
+Its least value over a polyhedron of winds is therefore at a corner.
 
-H is minimised over three numbers only: T, a and r. P depends on these numbers alone. Two subtracted
-terms of H also depend on the orientation of the pair (u, v) in space: p . (u + f) and q . v, with
-q = w - eta s. For given T, a and r, H is least in the orientation in which the sum of the two terms
-is largest. The largest sum is the sum of the singular values of the matrix (u + f) p' + v q', where
-' denotes the transpose. The computation uses the rotor speed as the first number instead of T; the
-equations give the thrust from the rotor speed. With the power model `momentum` the first number is
-the induced velocity. The model's balance of thrust and induced velocity then gives rotor speed and
-thrust.
+H is minimised over three numbers only: T, a and r. They determine P, but not the orientation of the
+pair (u, v) in space. H depends on the orientation through the terms p . (u + f) and q . v, with q =
+w - eta s. Over all orientations, the largest sum of the two terms is the sum of the singular values
+of the matrix (u + f) p' + v q', where ' denotes the transpose. With this sum, H is least. The
+computation uses the rotor speed as the first number instead of T; the equations give the thrust
+from the rotor speed. With the power model `momentum` the first number is the induced velocity. The
+model's balance of thrust and induced velocity then gives rotor speed and thrust.
 
-The least H is bounded from below by branch and bound. A box is a range of the three numbers; the
-compiled equations give bounds on the values and the slopes of H in a box.  A box is halved until
-its lower bound on H is at least the smallest value of H found so far, less a tolerance.
+The least H is bounded from below by branch and bound. A box is a range of the three numbers. The
+compiled equations give bounds on H and on its slopes in a box. A box is excluded if its lower bound
+on H is at least the smallest value of H found so far, less a tolerance. Otherwise it is halved.
 
 The power P is that of rotors with equal thrusts. With the power model `momentum`, rotors with
-unequal thrusts may take less power at high airspeed and low thrust. Let t be the mean thrust of the
-rotors. A rotor with this thrust takes the profile power c t^1.5 + k t^0.5, with coefficients c and
-k. The coefficient k is zero in still air; docs/theory/bound.md, eq. (17), writes m for k. If
-c t >= k, equal thrusts take the least power. If c t < k, unequal thrusts may take less power, but
-no less than the convex envelope of the profile power. This envelope is then the tangent from the
-origin to the curve of the profile power. The tangent lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the
-profile power.
+unequal thrusts may take less power at high airspeed and low thrust. The profile power of a rotor
+with the thrust t is c t^1.5 + k t^0.5. The coefficient k is zero in still air;
+docs/theory/bound.md, eq. (17), writes m for k. Now let t be the mean thrust of the rotors:
 
-The mass may change at a waypoint. A leg is the flight from one waypoint to the next. The products
-m p and m eta are the same on all legs.
+- If c t >= k, equal thrusts take the least power.
+- If c t < k, unequal thrusts may take less power, but no less than the convex envelope of the
+  profile power. The envelope is here the tangent from the origin to the curve of the profile power.
+  It lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
+
+The mass may change at a waypoint. A leg is the flight from one waypoint to the next. The products m
+p and m eta are the same on all legs.
 """
 
 from __future__ import annotations
@@ -118,8 +122,8 @@ class MotionPrices:
     """Multipliers (prices) of momentum, displacement and kinetic energy on one leg of the flight.
 
     The mission fixes by how much a flight changes momentum, position and kinetic energy of the
-    vehicle. The prices are the Lagrange multipliers of these conditions, and the lower bound on the
-    energy is a dual function of the prices. A leg is the flight from one waypoint to the next.
+    vehicle. The prices are the Lagrange multipliers of these conditions. Any prices give a lower
+    bound on the energy. A leg is the flight from one waypoint to the next.
 
     Attributes
     ----------
@@ -139,14 +143,17 @@ class MotionPrices:
 class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
-    The power is computed by the compiled equations. A pair has three coordinates: rotor speed
-    (induced velocity for the power model `momentum`), and airspeed along and across the thrust.
+    A pair has three coordinates: rotor speed (induced velocity for the power model `momentum`), and
+    airspeed along and across the thrust. The compiled equations give its power.
 
     A pair changes momentum, position and kinetic energy of the vehicle at certain rates. The
     mission fixes the total changes of these quantities over a flight; a price is the Lagrange
-    multiplier of such a total change. The function H is the power of a pair minus the three rates,
-    each times its price. The class searches for the least H over all pairs and proves a lower bound
-    on it. A lower bound on the energy of every flight follows.
+    multiplier of such a total change. H is a function of the pair: its power minus the sum over the
+    three quantities of (rate * price). The class searches for the least H over all pairs and proves
+    a lower bound on it. A lower bound on the energy of every flight follows.
+
+    Some terms of H are equal for all pairs. Several methods leave these terms out; the method
+    `_constant` returns their sum. A box is a range of the three coordinates.
 
     Parameters
     ----------
@@ -208,7 +215,8 @@ class Pairs:
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
         """Return rotor speed, thrust, power and two further CasADi expressions of a pair.
 
-        A pair is a combination of thrust and airspeed, given by three coordinates.
+        The two further expressions tell how much power the pair may save if the rotors have unequal
+        speeds.
 
         Parameters
         ----------
@@ -222,10 +230,9 @@ class Pairs:
         speed, thrust, power : expression
             Rotor speed [rad/s], total thrust [N] and total power [W] of rotors with equal speeds.
         excess, margin : expression
-            What rotors with unequal speeds and the same total thrust may save. If `margin` is
-            negative, rotors with unequal speeds may take less power, but at most `excess` [W] less.
-            Otherwise equal speeds take the least power, and `excess` has no meaning. Only the sign
-            of `margin` is used.
+            If `margin` is negative, rotors with unequal speeds and the same total thrust may take
+            less power, but at most `excess` [W] less. Otherwise equal speeds take the least power,
+            and `excess` has no meaning. Only the sign of `margin` is used.
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -261,25 +268,21 @@ class Pairs:
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
         """Evaluate the function H and its parts at n pairs of thrust and airspeed.
 
-        H is the power of a pair minus the rates at which the pair changes momentum, position and
-        kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
-        change).
-
         Parameters
         ----------
         points : ndarray, shape (3, n)
             Coordinates of the pairs: rotor speed [rad/s] (induced velocity [m/s] for the power
             model `momentum`), airspeed along the thrust and airspeed across the thrust [m/s].
         numbers : sequence of 4 float, optional
-            The four numbers through which H depends on the prices, from the method `numbers`. By
-            default all four are zero, and H is the power.
+            The four numbers from the method `numbers`, by which the prices enter H. By default all
+            four are zero, and H is the power.
 
         Returns
         -------
         ndarray, shape (8, n)
-            The rows are: H [W] without the terms that are the same for all pairs, thrust [N], rotor
+            The rows are: H [W] without the terms that are equal for all pairs, thrust [N], rotor
             speed [rad/s], margin, force of the air across and along the thrust [N], power [W], and
-            excess [W]. The method `_constant` returns the sum of the terms left out of H.
+            excess [W].
 
         Notes
         -----
@@ -294,27 +297,29 @@ class Pairs:
     def _fastest(self, scenario: Scenario) -> float:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
-        The search over pairs of thrust and airspeed covers airspeeds up to this limit. The limit is
-        the smaller of two speeds. One is the speed limit in `scenario` plus the speed of the
-        strongest wind. The other follows from the drag, see docs/theory/bound.md, eq. (22). The
-        result is infinite if the scenario has no speed limit and the drag is too small at every
+        The search over pairs covers airspeeds up to this limit. The limit is the smaller of two
+        speeds:
+
+        - the speed limit in `scenario` plus the speed of the strongest wind;
+        - the greatest airspeed that the drag permits, from docs/theory/bound.md, eq. (22).
+
+        The result is infinite if the scenario has no speed limit and the drag is too small at every
         airspeed.
 
-        Notes
-        -----
-        Let A be the airspeed at which the drag equals the largest thrust plus the length of
-        `standing`, the thrust that holds the vehicle still. In a steady wind the vehicle cannot
-        accelerate at airspeeds above A. The airspeed at rest is the speed of the wind. The speed
-        that follows from the drag is therefore the greater of A and the speed of the wind.
+        Notes ----- This is the derivation of the greatest airspeed that the drag permits.
+
+        In a steady wind, let A be the airspeed at which the drag equals the largest thrust plus the
+        length of `standing`. Above A the drag exceeds all other forces, and the airspeed falls. The
+        vehicle starts at rest, where the airspeed is the speed of the wind. The airspeed therefore
+        never exceeds the greater of A and the speed of the wind.
 
         The wind may also differ from place to place. Let U be the middle of the range of winds, and
         D the greatest difference between a wind and U. Let S be the speed of the vehicle relative
         to air of velocity U. The airspeed differs from S by at most D.
 
-        Let V be the value of S at which eq. (22) holds; V is at least A + D. If S is above V, the
-        drag prevents S from growing, whatever wind of the range blows. At rest, S is the size of U.
-        In flight, S therefore never exceeds the greater of V and the size of U. The airspeed never
-        exceeds this value plus D. This sum is the speed that follows from the drag.
+        Let V be the value of S at which eq. (22) holds. Above V, the drag prevents S from growing
+        in every wind of the range. At rest, S is the size of U. In flight, S therefore never
+        exceeds the greater of V and the size of U. The airspeed never exceeds this value plus D.
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -331,9 +336,9 @@ class Pairs:
     def _most_of_first(self) -> float:
         """Return the largest value of a pair's first coordinate that the largest thrust permits.
 
-        A pair is a combination of thrust and airspeed. Its first coordinate is the rotor speed
-        [rad/s], or for the power model `momentum` the induced velocity [m/s]. The search over pairs
-        covers first coordinates from zero to this value.
+        The first coordinate is the rotor speed [rad/s], or for the power model `momentum` the
+        induced velocity [m/s]. The search over pairs covers first coordinates from zero to this
+        value.
         """
 
         def excess(first: float) -> float:
@@ -344,12 +349,10 @@ class Pairs:
         return still + self.fastest if self._has_induced else still
 
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
-        """Return the four numbers through which the function H depends on the prices.
+        """Return the four numbers by which the prices enter the minimisation of H over the pairs.
 
-        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier of the total change). The numbers do not determine the terms of H that are the
-        same for all pairs. See docs/theory/bound.md, eq. (16).
+        The terms of H that are equal for all pairs also depend on the prices; `_constant` returns
+        them. See docs/theory/bound.md, eq. (16).
 
         Parameters
         ----------
@@ -376,11 +379,14 @@ class Pairs:
 
         `prices` are the Lagrange multipliers of the changes of momentum, position and kinetic
         energy on the leg. `wind` is the wind that blows, shape (3,) [m/s]. Let U be the middle of
-        the range of all winds of the mission. In `prices`, the kinetic energy is that of the motion
-        relative to air of velocity U. In the result, the kinetic energy is that of the motion
-        relative to air of velocity `wind`. For this conversion, the price of kinetic energy times
-        (wind - U) is added to the price of momentum. The other prices are unchanged. Implements
-        docs/theory/bound.md, eq. (20).
+        the range of all winds of the mission. The two sets of prices refer to different kinetic
+        energies:
+
+        - in `prices`, that of the motion relative to air of velocity U;
+        - in the result, that of the motion relative to air of velocity `wind`.
+
+        The new price of momentum is therefore the old one plus (price of kinetic energy) * (wind -
+        U). The other prices are unchanged. Implements docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -390,13 +396,12 @@ class Pairs:
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Search by sampling for the least value of H, and for the pairs at its local minima.
 
-        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price. A price is the
-        Lagrange multiplier of the total change, which the mission fixes. Pairs over the whole range
-        are sampled, for each wind at a corner of the polyhedron of winds. The lowest local minima
-        are then refined. The least value found may lie above the true minimum; `least` returns a
-        proven lower bound. A linear program searches for the prices that give the largest lower
-        bound on the energy of a flight. Each returned pair becomes a constraint of this program.
+        For each wind at a corner of the polyhedron of winds, pairs over the whole range are
+        sampled. The lowest local minima are then refined. The least value found may lie above the
+        true minimum; the method `least` returns a proven lower bound.
+
+        A linear program searches for the prices that give the largest lower bound on the energy of
+        a flight. Each returned pair becomes a constraint of this program.
 
         Parameters
         ----------
@@ -432,22 +437,19 @@ class Pairs:
     ) -> FloatArray:
         """Return proven lower bounds on G, the least value of H in still air, shape (n,) [W].
 
-        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier of the total change). G is the least H over all pairs. The result has one bound
-        for each item of `prices`. Implements docs/theory/bound.md, eq. (23).
+        G is the least H over all pairs. The result has one bound for each item of `prices`.
+        Implements docs/theory/bound.md, eq. (23).
 
         Parameters
         ----------
         prices : sequence of n MotionPrices
-            Multipliers in H. The effect of a wind is already included in the price of momentum.
+            Prices in H. The price of momentum already includes the effect of the wind.
         above : ndarray, shape (n,)
             Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
             pair. The search is faster if this bound is close to G.
         tolerance : float
-            Each bound is at most this amount below G [W]. A bound can be further below G if the
-            search ends early. The search ends early if it has examined too many boxes (ranges of
-            pairs).
+            Each bound is at most this amount below G [W]. If the search ends early, after too many
+            boxes (ranges of pairs), a bound can be further below G.
         """
         constants = np.array([self._constant(p, 1.0, np.zeros(3)) for p in prices])
         numbers = np.array([self.numbers(p, 1.0) for p in prices]).T
@@ -462,12 +464,10 @@ class Pairs:
     def samples(self) -> FloatArray:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
-        A pair is a combination of thrust and airspeed. The rows are: thrust [N]; force of the air
-        along and across the thrust [N]; power [W]; airspeed along and across the thrust [m/s]. The
-        pairs lie on a grid over their three coordinates: rotor speed (induced velocity for the
-        power model `momentum`), airspeed along the thrust and airspeed across the thrust. Pairs
-        whose thrust is much larger or smaller than the thrust of hover are left out, because they
-        do not occur in flights of little energy.
+        The rows are: thrust [N]; force of the air along and across the thrust [N]; power [W];
+        airspeed along and across the thrust [m/s]. The pairs lie on a grid over their three
+        coordinates. Pairs whose thrust is much larger or smaller than the thrust of hover are left
+        out, because flights of little energy do not use them.
         """
         sides = self._edges()
         axes = [np.linspace(a, b, count) for (a, b), count in zip(sides, _COARSE, strict=True)]
@@ -482,16 +482,13 @@ class Pairs:
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
         """Find local minima of the function H over the pairs of thrust and airspeed, by sampling.
 
-        H is the power of a pair minus the rates at which the pair changes momentum, position and
-        kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
-        change). `prices` are the prices for the motion through the air in one wind, from
-        `_in_wind`; `mass` is the mass as a fraction of the mass at the start.
+        `prices` are the prices for the motion through the air in one wind, from `_in_wind`. `mass`
+        is the mass as a fraction of the mass at the start.
 
-        The first result holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced
-        velocity [m/s] for the power model `momentum`), airspeed along and across the thrust [m/s].
-        The second result holds the values of H at these pairs [W], shape (n,), without the terms
-        that are the same for all pairs; `_constant` returns the sum of these terms. Only the n
-        lowest local minima are returned; n is at most `_CANDIDATES`.
+        Only the n lowest local minima are returned; n is at most `_CANDIDATES`. The first result
+        holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced velocity [m/s] for
+        the power model `momentum`), airspeed along and across the thrust [m/s]. The second result
+        holds H at these pairs [W], shape (n,), without the terms that are equal for all pairs.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -526,11 +523,9 @@ class Pairs:
     ) -> list[FloatArray]:
         """Return power and derivatives of H for a pair of thrust and airspeed, and for its copies.
 
-        H is the power of a pair minus the rates at which the pair changes momentum, position and
-        kinetic energy of the vehicle, each times its price (Lagrange multiplier of the total
-        change). The coordinates of the pair do not fix its orientation in space. The orientation
-        with the least H is taken. The copies are rotated about the vertical. They exist only if the
-        thrust that holds the vehicle still (`standing`) is vertical.
+        The coordinates of the pair leave its orientation in space open. The orientation with the
+        least H is taken. If the thrust that holds the vehicle still (`standing`) is vertical, there
+        are also copies of the pair. They are rotated about the vertical.
 
         Parameters
         ----------
@@ -573,10 +568,8 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
-        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier of the total change). The least H is concave in the wind, so the corners of the
-        polyhedron of winds suffice: docs/theory/bound.md, eq. (20).
+        The least H over the pairs is a concave function of the wind. Its least value over all winds
+        is therefore at a corner of the polyhedron of winds: docs/theory/bound.md, eq. (20).
 
         Parameters
         ----------
@@ -585,8 +578,8 @@ class Pairs:
         mass : float
             Mass on the leg as a fraction of the mass at the start.
         tolerance : float
-            The result is at most this amount below the least H [W]. The difference can be larger if
-            the search ends early because it has examined too many boxes (ranges of pairs).
+            The result is at most this amount below the least H [W]. If the search ends early, after
+            too many boxes (ranges of pairs), the difference can be larger.
         """
         sampled = self.cheapest(prices, mass)[0]
         proven = sampled
@@ -601,16 +594,12 @@ class Pairs:
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
         """Return proven lower bounds on the least value of H, for n sets of prices, shape (n,) [W].
 
-        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier of the total change). The terms that are the same for all pairs are left out
-        here; the method `_constant` returns their sum.
+        The terms of H that are equal for all pairs are left out.
 
         Parameters
         ----------
         numbers : ndarray, shape (4, n)
-            Each column has the four numbers through which H depends on one set of prices, from the
-            method `numbers`.
+            Each column has the four numbers of one set of prices, from the method `numbers`.
         sampled : ndarray, shape (n,)
             For each set, the value of H at some pair [W]. The search starts from this value.
         tolerance : float
@@ -619,8 +608,9 @@ class Pairs:
         Notes
         -----
         The search is a branch and bound over boxes, which are ranges of the three coordinates of a
-        pair. It keeps the smallest value of H found so far. The search ends if no box can contain a
-        value that is smaller by more than `tolerance`, or after a fixed number of boxes.
+        pair. It keeps the smallest value of H found so far. Boxes are halved until no box can
+        contain a value that is smaller by more than `tolerance`. The search also ends after a fixed
+        number of boxes.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -651,21 +641,17 @@ class Pairs:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which boxes may contain a permitted pair with H below ``enough``.
 
-        A box is a range of the three coordinates of a pair of thrust and airspeed. H is the power
-        of a pair minus the rates at which the pair changes momentum, position and kinetic energy of
-        the vehicle, each times its price (Lagrange multiplier of the total change). A pair is
-        permitted if it is within three limits: the largest thrust, the least rotor speed and the
-        largest airspeed. The test compares bounds on H over each box with ``enough``, and bounds on
-        thrust, rotor speed and airspeed with the limits. The test is much faster than `_box`, which
-        also bounds slopes.
+        A box is a range of the three coordinates of a pair. A pair is permitted if it keeps the
+        limits on the thrust (largest), the rotor speed (least) and the airspeed (largest). In each
+        box, the method bounds H, thrust, rotor speed and airspeed, and compares the bounds with
+        ``enough`` and the limits. It is much faster than `_box`, which also bounds slopes.
 
         Parameters
         ----------
         low, high : ndarray, shape (3, n)
             Lower and upper ends of the boxes along the three coordinates.
         numbers : ndarray, shape (4, n)
-            For each box, the four numbers through which H depends on the prices, from the method
-            `numbers`.
+            For each box, the four numbers of the prices, from the method `numbers`.
         enough : ndarray, shape (n,)
             One value for each box [W]. The box is excluded if H is at least this value in the whole
             box.
@@ -673,10 +659,10 @@ class Pairs:
         Returns
         -------
         ndarray of bool, shape (n,)
-            Whether a box is not excluded.
+            Whether a box may contain such a pair (True), or is excluded (False).
         ndarray of bool, shape (n_kept,)
-            For each box that is not excluded, whether rotors with equal thrusts take the least
-            power for all pairs in the box.
+            For each of the n_kept boxes that may contain such a pair: whether rotors with equal
+            thrusts take the least power for all pairs in the box.
         """
         given = np.vstack([numbers, np.zeros(low.shape[1])])
         under, over = self._enclosure.values_over(low, high, given)
@@ -695,18 +681,15 @@ class Pairs:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
         """Bound the function H from below in n boxes of the branch and bound search.
 
-        A box is a range of the three coordinates of a pair of thrust and airspeed. H is the power
-        of a pair minus the rates at which the pair changes momentum, position and kinetic energy of
-        the vehicle, each times its price (Lagrange multiplier of the total change). Implements
-        docs/theory/bound.md, eq. (18).
+        Implements docs/theory/bound.md, eq. (18). A box is a range of the three coordinates of a
+        pair.
 
         Parameters
         ----------
         low, high : ndarray, shape (3, n)
             Lower and upper ends of the boxes along the three coordinates.
         numbers : ndarray, shape (4, n)
-            For each box, the four numbers through which H depends on the prices, from the method
-            `numbers`.
+            For each box, the four numbers of the prices, from the method `numbers`.
         is_alike : ndarray of bool, shape (n,)
             Whether rotors with equal thrusts take the least power for all pairs in the box.
 
@@ -752,9 +735,9 @@ def _halved(
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
     """Return the wind at n given times in world axes [m/s], shape (n, 3).
 
-    `dynamics` are the dynamics of the vehicle, with the model of the wind. The wind is evaluated at
-    states and controls that are all zero. `times` has the n times [s]. If the model has no vertical
-    wind, or no wind at all, the missing components are zero.
+    `dynamics` are the dynamics of the vehicle, with the model of the wind. `times` has the n times
+    [s]. The wind is evaluated with all states and controls zero. Components that the model of the
+    wind lacks are zero.
     """
     names = ("velocity_x", "velocity_y", "velocity_z")
     keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
@@ -770,16 +753,20 @@ def bound_of_pairs(
 ) -> float:
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    A leg is the flight from one waypoint to the next; a passing time is the time at a waypoint. A
-    pair is a combination of thrust and airspeed. The mission fixes by how much a flight changes
-    momentum, position and kinetic energy of the vehicle. Any Lagrange multipliers of these
-    conditions give a lower bound on the energy. The multipliers with the largest bound solve a
-    linear program with one constraint for each pair. The bound is proven over all pairs.
+    A leg is the flight from one waypoint to the next; a passing time is the time at a waypoint. The
+    mission fixes by how much a flight changes momentum, position and kinetic energy of the vehicle.
+    Any Lagrange multipliers of these conditions give a lower bound on the energy. The multipliers
+    with the largest bound solve a linear program that has one constraint for each pair of thrust
+    and airspeed.
 
-    The multipliers are searched for by cutting planes (Kelley, 1960). In each round the program is
-    solved with the pairs found so far. The trial multipliers lie half way between the best
-    multipliers so far and the solution of the program. The pairs that limit the bound most for the
-    trial multipliers are added to the program.
+    The search for the multipliers uses cutting planes (Kelley, 1960). Each round has three steps:
+
+    - Solve the program with the pairs found so far.
+    - Take trial multipliers half way between the best multipliers so far and the solution.
+    - Find the pairs that limit the bound most for the trial multipliers, and add them to the
+      program.
+
+    For the best multipliers found, the bound is then proven over all pairs.
 
     Parameters
     ----------
@@ -804,11 +791,9 @@ def prices_of_pairs(
 ) -> tuple[list[MotionPrices], _Program]:
     """Search for the multipliers (prices) that give the largest lower bound on a flight's energy.
 
-    The mission fixes by how much a flight changes momentum, position and kinetic energy of the
-    vehicle. The prices are the Lagrange multipliers of these conditions, for each leg of the flight
-    (from one waypoint to the next). They are found by cutting planes, as `bound_of_pairs` explains.
-    The bound is computed here from sampled pairs of thrust and airspeed, and is therefore not yet
-    proven.
+    Each leg of the flight (from one waypoint to the next) has its own prices. They are found by
+    cutting planes, as `bound_of_pairs` explains. During the search, the bound is computed from
+    sampled pairs of thrust and airspeed, and is not yet proven.
 
     Parameters
     ----------
@@ -858,10 +843,10 @@ class _Program:
     """Linear program for the multipliers that maximise the lower bound on a flight's energy.
 
     The mission fixes by how much a flight changes momentum, position and kinetic energy of the
-    vehicle; the prices are the Lagrange multipliers of these conditions. A pair is a combination of
-    thrust and airspeed. H is the power of a pair minus the rates at which the pair changes the
-    three quantities, each times its price. The bound contains the least H over all pairs; the
-    program has one linear constraint for each pair that is known so far.
+    vehicle; the prices are the Lagrange multipliers of these conditions. H is a function of a pair
+    of thrust and airspeed: the power of the pair minus the sum over the three quantities of (rate
+    of change * price). The bound contains the least H over all pairs. The program has one linear
+    constraint for each pair that is known so far.
 
     Parameters
     ----------
@@ -929,12 +914,9 @@ class _Program:
     def add(self, k: int, pair: FloatArray) -> None:
         """Add a constraint: the least H of leg ``k`` is at most the value of H at a given pair.
 
-        H is the power of a pair of thrust and airspeed minus the rates at which the pair changes
-        momentum, position and kinetic energy of the vehicle, each times its price (Lagrange
-        multiplier). H is a linear function of the prices. The unknowns of the program are the
-        prices and the least H of each leg. `k` is the index of the leg. `pair` is an array from
-        `Pairs.cheapest`, shape (8,): the power of the pair [W], then the derivatives of H with
-        respect to the prices.
+        The prices and the least H of each leg are unknowns of the program. H is a linear function
+        of the prices. `pair` is an array from `Pairs.cheapest`, shape (8,): the power of the pair
+        [W], then the derivatives of H with respect to the prices.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -945,14 +927,13 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        The unknowns are the Lagrange multipliers of momentum, displacement and kinetic energy, and
-        auxiliary variables. Their values are returned as an array of shape (n_unknowns,), from
-        which the method `prices` computes the multipliers on each leg.
+        The unknowns are the prices and auxiliary variables, shape (n_unknowns,). The method
+        `prices` computes the prices on each leg from them.
 
-        The program has constraints only for the pairs of thrust and airspeed that are known so far.
-        Constraints for all other pairs could only make the optimal value smaller. The optimal value
-        is therefore an upper limit, up to a tolerance, on the bounds that any multipliers prove.
-        The search for multipliers ends when the largest bound found is close to this limit.
+        The program has constraints only for the pairs that are known so far. Further constraints
+        could only lower the optimal value. Up to a tolerance, the optimal value is therefore an
+        upper limit on the bound that any prices prove. The search for prices ends when the best
+        bound found is close to this limit.
         """
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
@@ -980,20 +961,16 @@ class _Program:
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
         """Return the lower bound on the flight's energy [J] that given prices (multipliers) prove.
 
-        `prices` are the Lagrange multipliers of momentum, displacement and kinetic energy on each
-        leg. H is the power of a pair of thrust and airspeed minus the rates at which the pair
-        changes these quantities, each times its price. `least` holds for each leg the least H over
-        all pairs, or a lower bound on it, shape (n_legs,) [W].
+        `prices` are the prices on each leg. `least` holds for each leg the least H over all pairs,
+        or a lower bound on it, shape (n_legs,) [W]. The bound is the sum of two parts
+        (docs/theory/bound.md, eq. (19)):
 
-        The bound is the sum of two parts. The first part is a sum over the legs. Each leg adds the
-        scalar product of its price of displacement and its displacement, minus the length of the
-        price times the attribute `slack` of the leg. `slack` is the sum of the distances by which
-        the two ends of the leg may be away from their nominal places.
-
-        The second part is a sum over the groups of legs. A group consists of the legs between two
-        fixed times. Each group adds a duration times the smallest item of `least` on its legs. The
-        duration is the least or the greatest duration that the mission allows for the group,
-        whichever gives the smaller product. Implements docs/theory/bound.md, eq. (19).
+        - The sum over the legs of w . displacement - slack * |w|, where w is the price of
+          displacement. The slack is the sum of the distances by which the two ends of the leg may
+          be away from their nominal places.
+        - The sum over the groups of legs of duration * (smallest `least` of the group). A group
+          consists of the legs between two fixed times. The duration is the least or the greatest
+          that the mission allows for the group, whichever gives the smaller product.
         """
         found = sum(
             float(p.displacement @ leg.displacement)

@@ -2,20 +2,20 @@
 
 The bound of `study.pairs` assumes that the most favourable wind of the field blows everywhere. The
 bound of this module uses the winds that the field has at each place. A potential is a function of
-the horizontal position. A lower bound on the energy of every flight, along any path, is the rise of
-the potential from start to goal, plus terms for height and duration. Derivation: see
-docs/theory/bound.md, eqs. (23) to (27).
+the horizontal position. Its rise from start to goal, plus terms for height and duration, is a lower
+bound on the energy of every flight, along any path. Derivation: see docs/theory/bound.md, eqs. (23)
+to (27).
 
-The rise is a bound only if the potential meets a condition at every place: in every wind of the
-place, the power of every motion is at least the sum of
+The potential must meet a condition at every place: in every wind of the place, the power of every
+motion is at least the sum of
 
 - the rate at which the motion gains potential,
 - the rates of change of momentum, kinetic energy and height, each times its price, and
 - a constant, the price of time.
 
 This condition limits the gradient of the potential. The bound is the integral of the sum over the
-flight. The terms for momentum and kinetic energy then vanish, because a flight begins and ends at
-rest.
+flight. In the integral, the terms for momentum and kinetic energy vanish, because a flight begins
+and ends at rest.
 
 A price is the Lagrange multiplier (dual variable) of the total change of momentum, position or
 kinetic energy over a flight, which the mission fixes. A pair is a combination of thrust and
@@ -34,13 +34,15 @@ G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over 
 h | price of time [W], the constant in the condition on the potential
 
 A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W. G is a concave function of a
-and q together. Therefore linear interpolation between proven values of G gives lower bounds on G.
-For the same reason the allowed gradients in a wind form a convex set. An inscribed polygon
-represents this set; its corners lie in equally spaced directions, of which the first is the
-direction of a. For a given q, the difference G(o + eta W, q) - h - q . W is a concave function of
-W, too. Let a rectangle contain all winds of a cell. A gradient that is allowed in the four winds at
-the corners of the rectangle is then allowed in all winds of the cell. The largest rise of a
-potential with allowed gradients is the optimal value of a linear program.
+and q together. This has three consequences:
+
+- Linear interpolation between proven values of G gives lower bounds on G.
+- The allowed gradients in a wind form a convex set. An inscribed polygon represents it. Its corners
+  lie in equally spaced directions, of which the first is the direction of a.
+- Let a rectangle contain all winds of a cell. A gradient that is allowed in the four winds at the
+  corners of the rectangle is allowed in all winds of the cell.
+
+The largest rise of a potential with allowed gradients is the optimal value of a linear program.
 """
 
 from __future__ import annotations
@@ -82,12 +84,10 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 
 @dataclass(frozen=True, kw_only=True)
 class PlacePrices:
-    """Prices in the bound by a potential. They have the same value at all places of a wind field.
+    """Prices in the bound by a potential, which are equal at all places of a wind field.
 
-    A potential is a function of the horizontal place. Its rise from start to goal gives a lower
-    bound on the energy of every flight. The mission fixes by how much a flight changes momentum,
-    kinetic energy and height of the vehicle; the prices are the Lagrange multipliers of these
-    changes.
+    The mission fixes by how much a flight changes momentum, kinetic energy and height of the
+    vehicle. The prices are the Lagrange multipliers of these changes.
 
     Attributes
     ----------
@@ -98,9 +98,8 @@ class PlacePrices:
     climb : float
         Price of vertical displacement [N].
     power : float
-        Price of time (h) [W]. The power of every motion is at least the sum of five terms: the
-        rates of change of momentum, kinetic energy and height, each times its price; the rate at
-        which the potential rises; and this price.
+        Price of time (h) [W]: the constant in the condition on the potential, which the docstring
+        of this module states.
     """
 
     offset: FloatArray
@@ -112,13 +111,15 @@ class PlacePrices:
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
         """Convert the prices of `study.pairs` into prices for the bound by a potential.
 
-        Prices are the Lagrange multipliers of the changes of momentum, position and kinetic energy
-        over a flight. `prices` are multipliers that `study.pairs` found for a range of winds. The
-        wind in the middle of this range is `middle`, shape (3,) [m/s]. In `prices` the kinetic
-        energy is that of the motion relative to air of the velocity `middle`. In the result the
-        kinetic energy is that of the motion over ground, and the price of momentum is converted
-        accordingly. The price of horizontal displacement is dropped, because the gradient of the
-        potential takes its place. The price of time (attribute `power`) is zero.
+        `prices` are the multipliers that `study.pairs` found for a range of winds. The wind in the
+        middle of this range is `middle`, shape (3,) [m/s]. The result differs from `prices` as
+        follows:
+
+        - The kinetic energy is that of the motion over ground, not relative to air of the velocity
+          `middle`. The price of momentum is converted accordingly.
+        - There is no price of horizontal displacement: the gradient of the potential takes its
+          place.
+        - There is a price of time (attribute `power`), which is zero.
         """
         return cls(
             offset=prices.momentum - prices.motion * middle,
@@ -134,13 +135,10 @@ class PlacePrices:
     ) -> GradientTable:
         """Tabulate the function G over prices of momentum and gradients of a potential.
 
-        A potential is a function of the horizontal place. G is a least value over all combinations
-        of thrust and airspeed. The minimised quantity is the power in still air minus three terms:
-        the rates of change of momentum, position and kinetic energy, each times its price (Lagrange
-        multiplier). The gradient of the potential is the price of horizontal displacement. The
-        vertical prices of momentum and displacement and the price of kinetic energy are those of
-        this object. G then depends on the length of the horizontal part of the price of momentum,
-        the length of the gradient, and the angle between the two.
+        The docstring of this module defines G. This object gives the vertical price of momentum,
+        the price of vertical displacement and the price of kinetic energy. G then depends on three
+        numbers: the length of the horizontal part of the price of momentum, the length of the
+        gradient, and the angle between the two.
 
         Parameters
         ----------
@@ -180,19 +178,11 @@ class PlacePrices:
 
 @dataclass(frozen=True, kw_only=True)
 class GradientTable:
-    """Table of a function G that limits the gradient of a potential.
+    """Table of the function G, which limits the gradient of a potential.
 
-    A potential is a function of the horizontal place. Its rise from start to goal is a lower bound
-    on the energy of flights if its gradient is limited. The method `gradients` computes the limits
-    from G.
-
-    Prices are Lagrange multipliers. The price of momentum and the gradient of the potential are
-    horizontal vectors; the gradient is the price of displacement. G is the least value of a power
-    over all combinations of thrust and airspeed. This power is the power in still air minus three
-    terms: the rates of change of momentum, position and kinetic energy, each times its price.
-
-    The table holds G for several magnitudes of the price of momentum, for several magnitudes of the
-    gradient, and for several angles between the two vectors.
+    The docstring of this module defines G. The method `gradients` computes the allowed gradients
+    from G. The price of momentum and the gradient of the potential are horizontal vectors here. The
+    table holds G for several magnitudes of both vectors and for several angles between them.
 
     Attributes
     ----------
@@ -213,19 +203,14 @@ class GradientTable:
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
         """Return the allowed gradients of a potential in each of n winds, as polygons.
 
-        A potential is a function of the horizontal place. A motion in a wind changes momentum,
-        kinetic energy and height of the vehicle at certain rates, and it gains potential at the
-        rate of the gradient times the velocity. A gradient is allowed in a wind if the power of
-        every motion in this wind is at least the sum of five terms: the rates of change of
-        momentum, kinetic energy and height, each times its price (Lagrange multiplier); the rate at
-        which the motion gains potential; and `prices.power`. Implements docs/theory/bound.md,
-        eq. (26).
+        A gradient is allowed in a wind if the potential meets the condition in the docstring of
+        this module. Implements docs/theory/bound.md, eq. (26).
 
         Parameters
         ----------
         prices : PlacePrices
-            Prices with which the table was computed. The attribute `power` may have another value,
-            because the table does not depend on it.
+            Prices with which the table was computed. The attribute `power` may differ, because the
+            table is independent of it.
         winds : ndarray, shape (n, 2)
             Horizontal winds [m/s].
 
@@ -234,7 +219,7 @@ class GradientTable:
         ndarray or None, shape (n, n_corners, 2)
             Corners of the polygon of each wind, counter-clockwise [N, which is J/m]. The corners
             lie in the directions of the table and in the mirror images of these directions. None if
-            the gradient zero is not allowed in one of the winds.
+            the gradient zero is forbidden in one of the winds.
         """
         momentum = prices.offset[:2] + prices.motion * winds
         size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
@@ -258,11 +243,15 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
     """Return where concave functions fall to zero, from samples of the functions.
 
     `GradientTable.gradients` finds in this way the largest allowed length of a gradient in each
-    direction. `at` has the k arguments of the samples in each of m directions, increasing, shape
-    (m, k). `values`, shape (n, m, k), has the samples of n functions in each direction. The first
-    sample of each function is positive. Between samples the functions are interpolated linearly.
-    The result, shape (n, m), has the argument at which each function is zero. If all samples of a
-    function are positive, the result has the last argument.
+    direction. There are m directions, and n functions in each direction:
+
+    - `at`, shape (m, k): the k sampled arguments in each direction, increasing.
+    - `values`, shape (n, m, k): the values of the functions at these arguments. The first value of
+      each function is positive.
+
+    The result, shape (n, m), has the argument at which each function is zero, with linear
+    interpolation between samples. If all values of a function are positive, the result has the last
+    argument.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -275,11 +264,8 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 class Sampled:
     """Approximation of the function G by a least value over samples of pairs.
 
-    A pair is a combination of thrust and airspeed. G is a least value over all pairs. The minimised
-    quantity is the power of a pair in still air minus three terms: the rates at which the pair
-    changes momentum, position and kinetic energy, each times its price (Lagrange multiplier). The
-    approximation is the least value over samples of pairs. The approximation is therefore never
-    below G.
+    The docstring of this module defines G as a least value over all pairs. With fewer pairs, the
+    least value can only be larger. The approximation is therefore never below G.
 
     Parameters
     ----------
@@ -294,9 +280,6 @@ class Sampled:
         """Return approximate values of the function G for n sets of prices, shape (n,) [W].
 
         `prices` holds n sets of Lagrange multipliers of momentum, displacement and kinetic energy.
-        G is a least value over all combinations of thrust and airspeed. The minimised quantity is
-        the power in still air minus three terms: the rates of change of momentum, position and
-        kinetic energy, each times its price.
         """
         thrust, lift, aside, power, along, across = self._samples
         drag = -(aside * across + lift * along)
@@ -313,8 +296,7 @@ class Sampled:
 class Places:
     """Grid of places of a mission in a wind field, on which potentials are defined.
 
-    A potential is a function of the horizontal place, given by its values at the nodes of the grid.
-    Its rise from start to goal gives a lower bound on the energy of every flight.
+    A potential is given by its values at the nodes of the grid.
 
     Parameters
     ----------
@@ -346,9 +328,9 @@ class Places:
         """Return the nodes of the triangle of the grid that contains a place, with their weights.
 
         `place` is a position, of which only x and y count [m]. The weights are the barycentric
-        coordinates of the place in the triangle. The value of a potential at the place is the sum
-        of the values of the potential at these nodes, each times the weight of the node. Each item
-        of the result is (index of node, weight).
+        coordinates of the place in the triangle. They interpolate a potential linearly: its value
+        at the place is the sum over the nodes of (weight * value at the node). Each item of the
+        result is (index of node, weight).
         """
         cell, shares = [], []
         for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
@@ -365,10 +347,9 @@ class Places:
     def rise(self, gradients: FloatArray) -> float:
         """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        A potential is a function of the horizontal place; its rise gives a lower bound on the
-        energy of every flight. The largest rise is the optimal value of a linear program.
-        Tolerances of the solver make the result slightly smaller. Implements docs/theory/bound.md,
-        eq. (27).
+        The largest rise is the optimal value of a linear program. It is slightly reduced to allow
+        for the tolerances of the solver, and is therefore a valid part of a lower bound. Implements
+        docs/theory/bound.md, eq. (27).
 
         Parameters
         ----------
@@ -405,10 +386,9 @@ class Places:
 def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the edges of the intersections of polygons, as linear inequalities.
 
-    Each polygon contains the gradients that a potential, a function of the horizontal place, may
-    have in one wind. For each cell of the wind field's grid, the polygons of several winds are
-    intersected. A gradient q is in the intersection if ``normal . q <= most`` for each edge of the
-    intersection.
+    Each polygon contains the gradients of a potential that are allowed in one wind. For each cell
+    of the wind field's grid, the polygons of several winds are intersected. A gradient q is in the
+    intersection if ``normal . q <= most`` for each edge of the intersection.
 
     Parameters
     ----------
@@ -420,7 +400,7 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
     cell : ndarray of int, shape (n_edges,)
         Index of the cell to which each edge belongs.
     normals : ndarray, shape (n_edges, 2)
-        Normals of the edges, outward, not of unit length.
+        Outward normals of the edges, of any length.
     most : ndarray, shape (n_edges,)
         Largest value of the product ``normal . q``, positive.
     """
@@ -441,12 +421,9 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 class _Search:
     """Calculator of lower bounds on the energy by a potential, approximate and proven.
 
-    A potential is a function of the horizontal place whose rise from start to goal gives a lower
-    bound on the energy of every flight. Its gradient is limited by the function G. G is a least
-    value over all combinations of thrust and airspeed. The minimised quantity is the power in still
-    air minus three terms: the rates of change of momentum, position and kinetic energy, each times
-    its price (Lagrange multiplier). An approximate bound uses sampled values of G, a proven bound
-    uses proven lower bounds on G.
+    The docstring of this module defines the potential and the function G, which limits its
+    gradient. An approximate bound uses sampled values of G. A proven bound uses proven lower bounds
+    on G.
 
     Parameters
     ----------
@@ -480,18 +457,15 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return a lower bound on the energy of every flight [J], from a table of the function G.
 
-        A potential is a function of the horizontal place. The bound is the largest rise of a
-        potential from start to goal, plus terms for height and duration. G limits the gradient of
-        the potential in each wind; the docstring of this module defines G. The bound is proven if
-        the values in `table` are proven lower bounds on G, and approximate if they are sampled. The
-        result is minus infinity if even the gradient zero is not allowed in one of the winds of the
-        field.
+        The bound is the largest rise of a potential from start to goal, plus terms for height and
+        duration. It is proven if the values in `table` are proven lower bounds on G. It is
+        approximate if they are sampled. The result is minus infinity if even the gradient zero is
+        forbidden in one of the winds of the field.
 
         Parameters
         ----------
         prices : PlacePrices
-            Prices (Lagrange multipliers) of momentum, kinetic energy, height and time, which are
-            equal at all places of the field.
+            Prices (Lagrange multipliers) of momentum, kinetic energy, height and time.
         table : GradientTable
             Values of G, computed with `prices`. Only the price of time (attribute `power`) may
             differ.
@@ -506,12 +480,14 @@ class _Search:
         """Return prices with the price of time that gives the largest approximate lower bound.
 
         The bound on the energy is a sum of three terms: the rise of a potential from start to goal,
-        a term for the height, and the price of time times the duration. A potential is a function
-        of the horizontal place. A larger price of time allows only smaller gradients of the
-        potential. `prices` are the Lagrange multipliers in the bound. Their attribute `power` is
-        the price of time, which is zero on entry; only this attribute is changed. If the least
-        duration is less than half the greatest duration, the duration counts as free, and the price
-        of time remains zero. The result is None if the multipliers give no bound.
+        a term for the height, and the price of time times the duration. A larger price of time
+        increases the third term. It also allows only smaller gradients of the potential, and thus
+        reduces the first term.
+
+        `prices` are the Lagrange multipliers in the bound; only their attribute `power`, the price
+        of time, is changed. It is zero on entry. It remains zero if the duration is free: if the
+        least duration is less than half the greatest. The result is None if the multipliers give no
+        bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
@@ -531,18 +507,13 @@ class _Search:
         """Return a proven lower bound on the energy, for given prices (Lagrange multipliers) [J].
 
         The bound is the sum of three terms: the largest rise of a potential from start to goal, the
-        price of height times the difference in height, and the price of time times the duration. A
-        potential is a function of the horizontal place [J]; its gradient is the price of horizontal
-        displacement. `prices` are the other prices: those of momentum, kinetic energy, height and
-        time, which are equal at all places.
+        price of height times the difference in height, and the price of time times the duration.
 
-        The gradients that the potential may have in each wind follow from proven lower bounds on
-        the function G. G is a least value over all combinations of thrust and airspeed. The
-        minimised quantity is the power in still air minus three terms: the rates of change of
-        momentum, position and kinetic energy, each times its price. To save time, the lower bounds
-        are computed only for the gradient zero and for gradients near the largest allowed ones.
-        Sampled values of G tell approximately how large the allowed gradients are. The result is
-        minus infinity if even the gradient zero is not allowed in one of the winds of the field.
+        Proven lower bounds on G decide which gradients the potential may have in each wind. To save
+        time, they are computed only for the gradient zero and for gradients near the largest
+        allowed ones. Sampled values of G tell approximately how large the allowed gradients are.
+        The result is minus infinity if even the gradient zero is forbidden in one of the winds of
+        the field.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)
@@ -572,11 +543,10 @@ def bound_by_places(
     """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
     The bound is the sum of three terms: the rise of a potential from start to goal, a term for the
-    difference in height, and a term for the duration. A potential is a function of the horizontal
-    place. Its slope at each place is limited by the energy of motions in the winds there. This
-    limit and the other two terms depend on prices: the Lagrange multipliers of the total changes of
-    momentum, height and kinetic energy. The function searches for prices that give a large bound.
-    Implements docs/theory/bound.md, eq. (25).
+    difference in height, and a term for the duration. The power of motions in the winds at a place
+    limits the gradient of the potential there. This limit and the two other terms depend on prices:
+    the Lagrange multipliers of the total changes of momentum, height and kinetic energy. The
+    function searches for prices that give a large bound. Implements docs/theory/bound.md, eq. (25).
 
     Parameters
     ----------

@@ -67,17 +67,17 @@ class RunResult(Summarised):
         fixes its duration.
     aims : DataFrame
         Comparison of the plans of least energy and of least battery charge, from the function
-        `study.aims.energy_and_charge`. The table is empty if simulation did not confirm the plan to
-        the requested accuracy, or if the solve for the other objective fails. It is also empty with
-        a user's own model, with the objective of least time, and with the attitude equations of
-        Yacef et al. (`vehicle.attitude` "paper").
+        `study.aims.energy_and_charge`. The table is empty in these cases:
+
+        - Simulation did not confirm the plan to the requested accuracy.
+        - The solve for the other objective fails.
+        - The scenario has a user's own model, the objective of least time, or the attitude
+          equations of Yacef et al. (`vehicle.attitude` "paper").
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound. "front" is the time for the tables `front` and
-        `aims`. "fly" is the time for the simulated flights and the cautions. It is measured from
-        the end of planning to the end of the last flight. Three times within this span are
-        subtracted: "certify", "front", and the time that the argument `meanwhile` of `run_scenario`
-        takes.
+        `aims`. "fly" is the rest of the time from the end of planning to the end of the last
+        flight, without the time of the argument `meanwhile` of `run_scenario`.
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
@@ -121,9 +121,8 @@ class RunResult(Summarised):
     def gap_percent(self) -> float | None:
         """Optimality gap in per cent: 100 (energy of the plan - lower bound) / energy of the plan.
 
-        No flight of the mission can save more than this part of the plan's energy. None if no bound
-        is known, if `flights` is empty because the solve failed, or if the plan was made for a
-        forecast of the wind.
+        Any other flight of the mission can save at most this part of the plan's energy. None if the
+        solve failed, if no bound is known, or if the plan was made for a forecast of the wind.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -257,10 +256,10 @@ def run_scenario(
 ) -> RunResult:
     """Plan a scenario, simulate and compare all flights, and compute the lower bound.
 
-    A solve or a flight that fails is part of the result, not an exception. The run ends after the
-    time that the scenario's field `solver.time_limit` allows. A flight that is not complete by then
-    is replaced by a warning. On Linux, copies of the process simulate the flights in parallel, one
-    per core, if BLAS has one thread (`OMP_NUM_THREADS=1`).
+    If a solve or a flight fails, the result says so; no exception is raised. The run ends after the
+    time that the scenario's field `solver.time_limit` allows. A warning replaces each flight that
+    is incomplete by then. On Linux, copies of the process simulate the flights in parallel, one per
+    core, if BLAS has one thread (`OMP_NUM_THREADS=1`).
 
     Parameters
     ----------
@@ -390,8 +389,8 @@ def _often(
     Returns
     -------
     InTurbulence or None
-        The flights in turbulence. None if the scenario has no turbulence, if simulation did not
-        confirm the plan, or if a simulation in turbulence fails.
+        The flights in turbulence. None if the scenario has no turbulence, if the plan must not be
+        flown (status neither `VERIFIED` nor `USABLE`), or if a simulation in turbulence fails.
     tuple of str
         The warning about a failure; empty without failure.
     """
@@ -408,13 +407,13 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with the energy that each still needs to reach the exact goal state.
+    """Return the flights with their owed energy: the energy from the end to the exact goal state.
 
-    This energy is estimated from the flight's end state with the costates of a plan. The first
-    flight is the plan itself, made for the forecast wind, and uses its own costates. The other
-    flights were simulated in the actual wind. If the actual wind differs from the forecast, another
-    plan is solved for the actual wind, and the other flights use the costates of that plan. Without
-    a forecast all flights use the costates of the first flight.
+    The owed energy is estimated from the flight's end state with the costates of a plan at its end.
+    Without a wind forecast, these are the costates of the run's plan for all flights. With a
+    forecast, the run's plan was made for the forecast wind, and only its own flight uses its
+    costates. The other flights were simulated in the actual wind. For them, another plan is solved
+    for the actual wind, and its costates are used.
 
     Parameters
     ----------
@@ -441,9 +440,9 @@ def _adaptation(
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
     `scenario` is the mission of the run. `optimum` is the flight of its plan, whose table tells
-    whether there is wind; None if there is no such flight. `dynamics` are the vehicle's dynamics in
-    the actual wind. The result is the table of `adaptation_study`; None without a flight of the
-    plan, in calm air and on failure.
+    whether there is wind; None if there is no plan. `dynamics` are the vehicle's dynamics in the
+    actual wind. The result is the table of `adaptation_study`. It is None in calm air, without a
+    plan, or if a simulation fails.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

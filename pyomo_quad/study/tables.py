@@ -11,9 +11,9 @@ if TYPE_CHECKING:
 class TableColumn(StrEnum):
     """Base class of enumerations of a table's columns, one member for each column, in order.
 
-    The value of a member is the heading of the column. A table can be made from one object for each
-    row. The member then also has a function `read`, which takes the object and returns the row's
-    value in this column.
+    The value of a member is the heading of the column. If the rows are made from objects, the
+    member also has a function `read`. This function takes the object of a row, and returns the
+    value of the row in this column.
     """
 
     read: Callable[[Any], object]
@@ -21,9 +21,9 @@ class TableColumn(StrEnum):
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
         """Make a column of a table, with the heading `name`.
 
-        Each row of a table can be made from one object. The function `read` takes this object, and
-        returns the row's value in this column. `read` is not used for a table whose rows are given
-        as values.
+        If each row of the table is made from an object, `read` is the function that takes this
+        object and returns the row's value in this column. If the rows are given as values, `read`
+        is not used.
         """
         column = str.__new__(cls, name)
         column._value_ = name

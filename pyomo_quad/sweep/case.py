@@ -1,9 +1,9 @@
 """Solution of one case of a sweep: the worker's input, the solve, and the output columns.
 
 A case is one variant of the sweep's base scenario, with its own values of the fields that vary. A
-worker receives a `CaseTask`. The worker plans the case's flight, or simulates a controller that
-tracks the base scenario's plan in the case's scenario. The worker returns a `CaseOutcome`, the row
-of the case in the sweep's result table.
+worker receives a `CaseTask`. It plans the case's flight, or simulates a controller that tracks the
+base scenario's plan in the case's scenario. It returns a `CaseOutcome`, the row of the case in the
+sweep's result table.
 """
 
 import importlib
@@ -48,8 +48,9 @@ class StudyTask(StrEnum):
 class CaseStatus(StrEnum):
     """Outcome of a case of a sweep.
 
-    `FINISHED`: solved, and verified by simulation. `FAILED`: the solve or the verification failed.
-    `LOST`: the worker process died while it solved the case; a resumed sweep solves the case again.
+    `FINISHED`: the case was solved, and simulation verified the solution. `FAILED`: the solve or
+    the verification failed. `LOST`: the worker process died while it solved the case; a resumed
+    sweep solves the case again.
     """
 
     FINISHED = "finished"
@@ -69,8 +70,8 @@ class CaseTask:
         Identifier of the case: hash of its values of the scenario fields that vary.
     solver : str
         Name, as ``module:function``, of the case solver: the function that takes this object and
-        returns a `CaseResult`. The program chooses the case solver. An input file cannot choose it,
-        so that no study file can run code of its own.
+        returns a `CaseResult`. Only the program chooses the case solver, so that a study file
+        cannot run code of its own.
     scenario : str
         The case's complete scenario as JSON text.
     base : str
@@ -81,8 +82,8 @@ class CaseTask:
         Reference trajectories that the controller tracks in each case, for comparison with the
         plan.
     warm_start : bytes or None
-        Packed initial guess from the solution of the parent, a neighbouring case that was solved
-        before; None if there is no such solution.
+        Packed solution of the parent, a neighbouring case that was solved before. It is the initial
+        guess of this case. None if there is no such solution.
     """
 
     position: int
@@ -104,8 +105,8 @@ class CaseResult:
     values : mapping
         Numeric value of each output column, by column name.
     warm_start : bytes or None
-        Packed solution, the initial guess of the children: neighbouring cases that are solved after
-        this case. None if there is no solution from which they can start.
+        Packed solution. It is the initial guess of the children, the neighbouring cases that are
+        solved after this case. None without a solution.
     reason : str
         Reason of the failure; empty for a success. After a failure, `values` still holds the
         numbers that could be computed.
@@ -134,8 +135,9 @@ class CaseOutcome:
     values : mapping
         Numeric value of each output column, by column name.
     warm_start : bytes or None
-        Packed solution, the initial guess of the children: neighbouring cases that are solved
-        after this case. None if there is no solution from which they can start.
+        Packed initial guess of the children, the neighbouring cases that are solved after this
+        case. It is the solution of this case, or after a failure the initial guess of this case
+        itself. None if there is neither.
     seconds : float
         Wall time of the solve, in s.
     worker : str
@@ -160,13 +162,16 @@ class CaseOutcome:
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
         """Make the row of a sweep's case from the result that the case solver returned.
 
-        `task` is the input of the case, and `result` holds its output values, its solution and the
-        reason of a failure. Output values that are not finite are dropped, because JSON has no NaN.
-        Output values whose size exceeds the constant `LARGEST_OUTPUT` are dropped, too, because
-        sums and squares of larger numbers may overflow. A warm start is a packed initial guess. The
-        children of the case, which are solved after the case, start from the warm start in the row.
-        If the result holds no warm start, for example after a failure, the row holds the warm start
-        that the case received.
+        `task` is the input of the case. `result` holds its output values, its solution and the
+        reason of a failure. Two kinds of output values are dropped:
+
+        - values that are not finite, because JSON has no NaN;
+        - values whose size exceeds the constant `LARGEST_OUTPUT`, because their sums and squares
+          may overflow.
+
+        The row also holds a warm start, the packed initial guess for the children of the case. It
+        is the solution in `result`. Without a solution, for example after a failure, it is the warm
+        start that the case itself received.
         """
         # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
@@ -261,10 +266,12 @@ _ERROR_DIGITS = 2
 class _Flown:
     """Flight of a sweep's case, with its plan and scenario.
 
-    `plan` is the plan of the case, or the base scenario's plan if all cases fly that plan. `flight`
-    is a flight of this plan, or a flight along another reference trajectory, for comparison.
-    `scenario` is the scenario of the case. The output columns of the sweep are computed from the
-    attributes and properties of this class.
+    The output columns of the sweep are computed from the attributes and properties of this class:
+
+    - `plan` is the plan of the case, or the base scenario's plan if all cases fly that plan.
+    - `flight` is a flight of this plan, or a flight along another reference trajectory, for
+      comparison.
+    - `scenario` is the scenario of the case.
     """
 
     flight: Flight
@@ -281,9 +288,9 @@ class _Flown:
     def repeats(self) -> float:
         """Number of repetitions of the flight that one battery charge permits.
 
-        The available charge is that between the initial and the lowest permitted state of charge.
-        Every flight is assumed to use as much charge as the first. In truth the battery voltage
-        falls, later flights use more charge, and the number is slightly smaller.
+        The available charge is the difference between the initial and the lowest permitted state of
+        charge. Every flight is assumed to use as much charge as the first. In truth the battery
+        voltage falls, later flights use more charge, and the number is slightly smaller.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -299,12 +306,13 @@ class _Flown:
     def saved(self) -> float:
         """Energy saving of the plan compared with this flight, as a fraction.
 
-        The property is used for flights of the controller along a reference trajectory that the
-        sweep lists for comparison, such as a smooth path. The saving is 1 - P / E. P is the energy
-        of the plan. E is the energy of the flight plus the estimated energy that the vehicle still
-        needs from the end of the flight to the exact goal state. The saving is NaN if the flight
-        did not arrive, if it broke a limit, or if the energy still needed is unknown. A flight has
-        arrived if it ends at the goal and nearly at rest, as the function `has_arrived` decides.
+        The saving is 1 - P / E. P is the energy of the plan. E is the energy of this flight plus
+        its owed energy, the estimated energy that the vehicle still needs to the exact goal state.
+        This flight follows a reference trajectory that the sweep lists for comparison, such as a
+        smooth path.
+
+        The saving is NaN if the flight did not arrive (see `study.comparison.has_arrived`), if it
+        broke a limit, or if the owed energy is unknown.
         """
         if not is_comparable(self.flight):
             return np.nan
@@ -381,8 +389,8 @@ def output_columns(task: StudyTask, baselines: Iterable[Reference]) -> tuple[str
     task : StudyTask
         Whether each case is planned, or flies the base scenario's plan.
     baselines : iterable of Reference
-        Reference trajectories that the controller also flies if each case is planned; each adds
-        its own columns.
+        Reference trajectories that the controller also flies if each case is planned. Each
+        trajectory adds its own columns.
     """
     if task is StudyTask.FLY_PLAN:
         return tuple(_OF_A_PLAN_FLOWN)
@@ -515,9 +523,9 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
     """Simulate a controller that tracks the base scenario's plan in the scenario of a sweep's case.
 
-    `task` is the input of the case, with the base scenario of the sweep; `scenario` is the scenario
-    of the case. The result holds the output columns of the flight. The case fails if the base
-    scenario's plan is not verified, or if two integrators disagree on the flight. The result then
+    `task` is the input of the case, with the base scenario of the sweep. `scenario` is the scenario
+    of the case. The result holds the output columns of the flight. If the base scenario's plan is
+    not verified, or if two integrators disagree on the flight, the case fails. The result then
     holds the reason.
     """
     base = Scenario.model_validate_json(task.base)
@@ -537,9 +545,8 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 class _Bench:
     """Planner and base scenario's plan that one worker of a sweep keeps from case to case.
 
-    The planner keeps the compiled model, so that later cases need not compile the model again. A
-    thread of the worker must hold the attribute `lock`, a mutex, while the thread uses the planner
-    or the plan.
+    The planner keeps the compiled model for later cases. While a thread uses the planner or the
+    plan, the thread must hold the mutex `lock`.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -549,9 +556,9 @@ class _Bench:
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
         """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
 
-        `scenario` is the scenario of the case. `warm_start` is the packed solution of the parent;
-        None without one. If the plan from this warm start is not verified, or there is no warm
-        start, the case is solved from the planner's own initial guess.
+        `scenario` is the scenario of the case. `warm_start` is the packed solution of the parent,
+        or None. If it is None, or if the plan from this warm start is not verified, the case is
+        solved from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

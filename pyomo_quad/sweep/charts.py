@@ -1,6 +1,6 @@
 """Charts of a sweep: curves, Pareto fronts, heat maps, wind roses, tornado charts, histograms.
 
-A quantity is an output column of the sweep with name and printed unit. A curve holds the cases
+A quantity is an output column of the sweep, with its printed name and unit. A curve holds the cases
 that differ in one scenario field only; all other fields are constant along the curve.
 """
 
@@ -42,8 +42,8 @@ _BAR: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0}
 def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[float]) -> Figure:
     """Draw an output quantity against the mission's duration, and its Pareto front.
 
-    A point lies on the Pareto front if no other case is both shorter and better. The best duration
-    of each curve is marked by a star.
+    A case is on the Pareto front of its curve if every shorter case of the curve has a larger
+    quantity. A star marks the best duration of each curve.
 
     Parameters
     ----------
@@ -167,10 +167,10 @@ def _name_best(
 ) -> None:
     """Print a curve's name, best duration and least quantity as a line of text in a panel.
 
-    The curve is drawn for finished cases that differ in the mission duration only. Its name is made
-    of the values of the other fields that vary in the sweep. The best duration is the mission
-    duration at which the quantity is least. The text says "at an edge" if the case of the next
-    shorter or of the next longer duration failed or does not exist.
+    The cases of the curve differ in the mission duration only. The name of the curve lists the
+    values of the other fields that vary in the sweep. The best duration is the duration at which
+    the quantity is least. The text says "at an edge" if the next shorter or the next longer
+    duration has no finished case.
 
     Parameters
     ----------
@@ -280,8 +280,8 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     """Draw an output quantity against the wind direction, in polar coordinates.
 
     The centre of the rose is the least value of all curves, not zero. A star marks the worst
-    direction of each curve. This is the direction of the greatest value. For a quantity that should
-    be large, such as a saving, it is the direction of the least value.
+    direction of each curve. For most quantities, this is the direction of the greatest value. For a
+    quantity that should be large, such as a saving, it is the direction of the least value.
 
     Parameters
     ----------
@@ -338,9 +338,9 @@ def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     `rows` are the cases of one curve, sorted by wind direction. `field` is the column of the
     direction [rad]. The repeated row has the first direction plus a full turn.
 
-    A wide gap between the last and the first direction stays open, and the rows are returned
-    unchanged. A gap is wide if it exceeds 1.5 times the greatest step between neighbouring
-    directions.
+    If the gap between the last and the first direction is wide, the curve stays open, and the rows
+    are returned unchanged. A gap is wide if it exceeds 1.5 times the greatest step between
+    neighbouring directions.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
@@ -360,18 +360,21 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases. Beside the first bar stand the row numbers of the
-    cases with the least and the greatest value.
+    The first bar is the range over all cases. Beside it stand the row numbers of the cases with the
+    least and the greatest value.
 
     Each other bar is the range along one field, with all other fields as in the central case.
-    Beside the bar stand the field's values at which the quantity is least and greatest. The central
+    Beside it stand the values of the field at which the quantity is least and greatest. The central
     case has the field values of the base scenario. If the sweep lacks a field's base value, the
     central case has the middle of the field's values.
 
-    Some fields of a sweep may have random values. For a field that is not random, the quantity is
-    then averaged over the random draws. The bar is the range of this average. For a random field, a
-    linear function of all random fields is fitted to the quantity. The bar is the range of this
-    function as the field varies between the 5 % and 95 % quantiles of its draws.
+    Some fields may have random values. Then there are two kinds of bars:
+
+    - For a field that is not random, the quantity is averaged over the random draws. The bar is the
+      range of this average.
+    - For a random field, a linear function of all random fields is fitted to the quantity. The bar
+      is the range of this function as the field varies between the 5 % and 95 % quantiles of its
+      draws.
 
     Parameters
     ----------

@@ -21,9 +21,9 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 def cluster_workers(address: str) -> Iterator[Workers]:
     """Context manager: connect to a Dask cluster, and run the cases of a sweep on its workers.
 
-    If the cluster loses a worker, Dask moves the cases of this worker to the other workers. Dask
-    gives up a case after several workers were lost during the case. If the scheduler is lost, the
-    results that were stored before the loss remain.
+    If the cluster loses a worker, Dask moves the cases of this worker to the other workers. If a
+    case loses several workers in turn, Dask gives up the case. If the scheduler is lost, all
+    results stored before the loss are kept.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 def _silence_dask() -> None:
     """Turn off the log messages of Dask, because this module reports a lost cluster itself.
 
-    Otherwise Dask prints tracebacks when a cluster is lost. Call this function after the import of
-    Dask, because the import sets the levels of the loggers.
+    Dask prints tracebacks when a cluster is lost. The import of Dask sets the levels of its
+    loggers. Call this function after the import.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in _DASK_LOGGERS:
@@ -80,8 +80,8 @@ class _Threads:
     """Counter of the worker threads of a Dask cluster.
 
     Each thread can solve one case at a time. `client` is the connection to the cluster. `address`
-    is the cluster's address, for error messages. The counter asks the cluster at most once in two
-    seconds (the constant `WATCH_SECONDS`). In between, the counter returns the last number.
+    is the cluster's address, for error messages. The counter asks the cluster at most once in
+    `WATCH_SECONDS` (two seconds). Between two requests, it returns the last number.
     """
 
     def __init__(self, client: "Client", address: str) -> None:

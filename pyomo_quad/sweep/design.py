@@ -1,8 +1,8 @@
 """Design of a parameter sweep: the values of each axis, and the cases in row order.
 
-An axis is a scenario field with the values that it takes. Axes whose values change together form a
-dimension. A step of a dimension gives each of its fields one value. The cases are all combinations
-of steps, and form a grid.
+An axis is a scenario field with the values that it takes. A dimension is one axis, or several axes
+whose values change together. Each step of a dimension gives every one of its fields one value. The
+cases are all combinations of steps; they form a grid.
 """
 
 import hashlib
@@ -246,8 +246,8 @@ class Dimension:
     def is_sound(self) -> bool:
         """Whether each step has one plain value for each field, and each field has one type.
 
-        Plain values are finite numbers, texts, booleans and lists of these. A dimension from a
-        study file is always sound. A dimension from a damaged result store may be unsound.
+        Plain values are finite numbers, texts, booleans and lists of these. The method detects
+        damaged result stores: a dimension from a study file is always sound.
         """
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
@@ -286,7 +286,7 @@ class SweepDesign:
     baselines : tuple of Reference
         Reference trajectories that the controller flies in each case, for comparison.
     outputs, report_on : tuple of str
-        Output columns that the result tables keep, and output columns that the report draws.
+        Output columns that the result tables keep, and those that the report draws.
     base : mapping
         The complete base scenario, as nested mappings.
     dimensions : tuple of Dimension
@@ -341,7 +341,7 @@ class SweepDesign:
     def refuse_impossible(self) -> None:
         """Raise an error if the design cannot stem from a study file.
 
-        Such a design is a sign of a damaged result store.
+        If so, the result store is damaged.
 
         Raises
         ------
@@ -456,8 +456,8 @@ class Case:
         Value of each field that varies, by its dotted path.
     parent : int or None
         Position of the neighbouring case whose solution is the initial guess of this case. None for
-        the case that is solved first. With the sweep's task `FLY_PLAN`, None for all cases, because
-        only the base scenario's flight is planned.
+        the case that is solved first. With the sweep's task `FLY_PLAN` only the base scenario's
+        flight is planned, and the parent is None for all cases.
     """
 
     position: int
@@ -521,10 +521,10 @@ def case_key(overrides: Mapping[str, Any]) -> str:
 def bisection_parents(count: int) -> list[int | None]:
     """Arrange the sorted values of a field in a balanced bisection tree.
 
-    The solve for each value starts from the solution for the value's parent in the tree, a close
-    neighbour. The root is the middle value, and is solved first. The root's children are the middle
-    values of the two halves, and each half is bisected again. Few solves must wait for each other:
-    the longest chain of solves grows with the logarithm of the number of values.
+    The solve for each value starts from the solution for its parent in the tree, a close neighbour.
+    The root is the middle value, which is solved first. Its children are the middle values of the
+    two halves, and each half is bisected again. A solve must wait only for its ancestors, so that
+    many solves can run in parallel: the number of ancestors is at most about log2(count).
 
     Parameters
     ----------

@@ -206,11 +206,10 @@ class _Figures:
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return a text for a wind rose's caption: the value at the centre, and the worst direction.
 
-    `curves` are the curves of the wind rose, and `quantity` is the output column that the wind rose
-    shows. The centre stands for the least value of the quantity over all curves. The worst
-    direction is the wind direction with the worst value of the quantity over all curves. The worst
-    value is the least value if the quantity should be large, such as a saving. Otherwise the worst
-    value is the greatest value.
+    `curves` are the curves of the wind rose, and `quantity` is the output column that it shows. The
+    centre stands for the least value of the quantity over all curves. The worst direction is the
+    wind direction of the greatest value over all curves. For a quantity that should be large, such
+    as a saving, it is the direction of the least value.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

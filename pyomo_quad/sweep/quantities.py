@@ -114,8 +114,8 @@ def setting(value: object) -> str:
 def settings_name(fixed: Mapping[str, Any]) -> str:
     """Return the name of a curve for a chart's legend: the field values that all its cases share.
 
-    Each field is printed with its value, such as "mass 1.2 kg". A field whose value is a text is
-    printed as this text only, without the name of the field. Commas separate the fields.
+    An example is "mass 1.2 kg, momentum". Each field is printed with its name and value. If the
+    value is a text, only this text is printed. Commas separate the fields.
 
     Parameters
     ----------
@@ -136,8 +136,8 @@ def case_name(fields: Mapping[str, Any]) -> str:
     """Return the printed name of a sweep's central case: its field values, such as "a.b = 1 m".
 
     The central case has the field values of the base scenario. If the sweep lacks a field's base
-    value, the central case has the middle of the field's values. The name is printed with heat maps
-    and sensitivities: a heat map varies two fields of the central case, a sensitivity varies one.
+    value, the central case has the middle of the field's values. The name is printed with heat
+    maps, which vary two fields of the central case, and with sensitivities, which vary one.
 
     Parameters
     ----------

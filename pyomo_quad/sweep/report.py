@@ -151,8 +151,8 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
 
     `results` is the result table of the sweep. A flight missed the goal if it ended farther from
     the goal than the constant `ARRIVAL_DISTANCE_M`. The kinds of flight differ in the trajectory
-    that the controller tracks: the plan of the base scenario, or a reference trajectory that the
-    study names for comparison. Each item has these entries:
+    that the controller tracks. It is the plan of the base scenario, or a reference trajectory that
+    the study names for comparison. Each item has these entries:
 
     - ``name``: printed name of the kind of flight;
     - ``count``: number of flights of this kind;
@@ -180,8 +180,8 @@ def _sensitivities(
     """Yield the range of each quantity as each scenario field varies, for the report's template.
 
     `results` is the result table of the sweep, and `quantities` are the output columns that the
-    report draws. A quantity is left out if its range is known along fewer than two fields, because
-    there is then nothing to compare. Each item has these entries:
+    report draws. A quantity whose range is known along fewer than two fields is left out, because
+    there is nothing to compare. Each item has these entries:
 
     - ``label`` and ``scale``: printed name of the quantity, and factor to its printed unit;
     - ``centre``: printed name of the sweep's central case;
@@ -207,9 +207,9 @@ def _sensitivities(
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
     """Yield the mission duration at which a quantity is least, for the report's template.
 
-    `results` is the result table of the sweep, and `quantity` is the output column to minimise.
-    Nothing is yielded if the sweep does not vary the mission's duration. Otherwise there is one
-    item for each combination of values of the other fields that vary. Each item has these entries:
+    `results` is the result table of the sweep, and `quantity` is the output column to minimise. If
+    the sweep varies the mission's duration, there is one item for each combination of values of the
+    other fields that vary. Otherwise there is no item. Each item has these entries:
 
     - ``fixed``: values of the other fields;
     - ``best``: duration at which the quantity is least, and the quantity at this duration;

@@ -1,7 +1,7 @@
 """Run of a parameter sweep: schedule the cases on workers and store each result at once.
 
-The cases form a tree: the solution of a parent case is the initial guess (warm start) of its
-children, which are neighbouring cases. A case is scheduled when its parent has ended.
+The cases form a tree. The children of a case are neighbouring cases: the solution of the parent is
+the initial guess (warm start) of each child. A case is scheduled when its parent has ended.
 """
 
 from collections.abc import Mapping
@@ -56,7 +56,7 @@ class SweepSummary:
     total : int
         Number of cases of the sweep.
     already_finished : int
-        Number of cases that finished or failed in an earlier run and were not solved again.
+        Number of cases that finished or failed in an earlier run. They are not solved again.
     finished, failed, lost : int
         Numbers of cases that ended in this run: solved, failed, and lost because the worker process
         died.
@@ -73,7 +73,10 @@ class SweepSummary:
 
     @property
     def missing(self) -> int:
-        """Number of cases that have not ended, for example after Ctrl-C; lost cases have ended."""
+        """Number of cases that have not ended, for example after Ctrl-C.
+
+        Lost cases count as ended.
+        """
         return self.total - self.already_finished - self.finished - self.failed - self.lost
 
 
@@ -191,10 +194,10 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Return the cases that can be solved next: given cases, or descendants of given cases.
 
-        `cases` are the given cases. A case that has not ended is returned. A case that has ended is
-        replaced by its children: the neighbouring cases whose solves start from the solution of
-        this case. A child that has ended is again replaced by its own children. In this way a
-        resumed sweep continues with cases whose parents ended in an earlier run.
+        `cases` are the given cases. Each case that has ended is replaced by its children, the
+        neighbouring cases whose solves start from its solution. Each child that has ended is
+        replaced by its own children, and so on. In this way a resumed sweep continues with cases
+        whose parents ended in an earlier run.
 
         Returns
         -------
@@ -225,13 +228,13 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        `outcome` is the row of the case. The children of a case are the neighbouring cases whose
-        solves start from the solution of this case. The children of the case that ended can be
-        solved now. A child that has already ended is replaced by its own children.
+        `outcome` is the row of the case. The cases that can be solved now are its children: the
+        neighbouring cases whose solves start from its solution. A child that has already ended is
+        replaced by its own children.
 
-        The solution of a parent is stored until all its children have ended. If the case that ended
-        was the last child of its parent, the parent's solution is deleted. A case whose worker
-        process died does not count as ended here, because a later run solves it again.
+        The store keeps the solution of a parent until all its children have ended. If the case that
+        ended was the last child of its parent, the parent's solution is deleted. A child whose
+        worker process died has not ended in this sense, because a later run solves it again.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -251,20 +254,19 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        A case is lost if its worker process dies. The children of a case are the neighbouring cases
-        whose solves start from the solution of this case. The descendants are the children, the
-        children of the children, and so on.
+        A case is lost if its worker process dies. The descendants of a case are its children in the
+        tree of cases, the children of the children, and so on.
 
-        A lost case has no solution. The children of the lost case were therefore solved from the
-        solution of the lost case's parent. `case` has ended in this run and was not lost. If an
-        earlier run lost it, its descendants are solved again. All rows then equal the rows of a
-        sweep in which no worker died.
+        A lost case has no solution. Its children were therefore solved from the solution of the
+        lost case's parent. In this run `case` has a result. If an earlier run lost it, its
+        descendants are solved again from this result. All rows then equal the rows of a sweep in
+        which no worker died.
 
         Returns
         -------
         list of str
-            Keys (hashes of the field values) of the descendants, for the store to delete their
-            rows. Empty if no earlier run lost the case.
+            Keys (hashes of the field values) of the descendants. The store then deletes their rows.
+            Empty if no earlier run lost the case.
         """
         if case.key not in self._lost_before:
             return []
@@ -302,14 +304,14 @@ def case_task(
     solver : str
         Function that solves a case, as ``module:function``.
     warm_start : bytes or None
-        Initial guess, packed into bytes: the solution of the case's parent, which is a neighbouring
-        case. None if the case has no parent, or if the parent has no stored solution.
+        Initial guess, packed into bytes: the solution of the case's parent. None if there is no
+        such solution.
 
     Returns
     -------
     CaseTask or CaseOutcome
-        `CaseTask`: the input of the worker. `CaseOutcome`: the row of a failed case, if the base
-        scenario is not valid with the case's field values.
+        `CaseTask`: the input of the worker. `CaseOutcome`: the row of a failed case, if the case's
+        field values make the scenario invalid.
     """
     task = CaseTask(
         position=case.position,
@@ -362,9 +364,9 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. Without stored results, two neighbouring
-    cases are solved, and the time of the second case is taken. The second case starts from the
-    solution of the first case, as most cases of a sweep start from a neighbour.
+    The time per case is the mean over the stored results. If there are none, two neighbouring cases
+    are solved, and the time of the second case is taken. Like most cases of a sweep, it starts from
+    the solution of a neighbour.
 
     Parameters
     ----------

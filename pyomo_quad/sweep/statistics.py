@@ -30,13 +30,11 @@ _LOW_SHARE, _HIGH_SHARE = 0.05, 0.95
 class Curve:
     """Finished cases of a sweep that differ only along one dimension, in the order of its values.
 
-    A dimension is one scenario field, or several fields that change together.
-
     Attributes
     ----------
     fixed : dict
-        Value of each other field that varies in the sweep, by its dotted path. These fields are
-        constant along the curve. Of several fields that change together, only the first is named.
+        Fields that vary in the sweep but are constant along the curve: value of each field, by its
+        dotted path. Of several fields that change together, only the first is named.
     rows : DataFrame
         Rows of the result table.
     """
@@ -50,14 +48,14 @@ class Sensitivity:
     """Range of an output quantity as one scenario field varies.
 
     The values of a field are either given (listed or spaced) or drawn at random. All other fields
-    with given values are as in the central case of the sweep. The central case has the field values
-    of the base scenario. If the sweep lacks a field's base value, the central case has the middle
-    of the field's values.
+    with given values are as in the central case of the sweep. The range depends on the kind of the
+    field that varies:
 
-    For a field with given values, the quantity is averaged over the draws of the random fields, if
-    there are any. For a random field, a linear function of all random fields is fitted to the
-    quantity. The range is that of the fitted function as the random field varies between the 5 %
-    and 95 % quantiles of its draws. The other random fields are at their means.
+    - Field with given values: the range of the quantity over these values. If the sweep also has
+      random fields, the quantity is averaged over their draws.
+    - Random field: a linear function of all random fields is fitted to the quantity. The range is
+      that of this function between the 5 % and 95 % quantiles of the field's draws, with the other
+      random fields at their means.
 
     Attributes
     ----------
@@ -111,8 +109,8 @@ class Spread:
     def note(self) -> str:
         """Part of a caption: how much of the quantity's variance the random fields explain.
 
-        The text begins with a semicolon, because it continues a sentence. The text contains the
-        attribute `linear_share` in percent, and is empty if `linear_share` is NaN.
+        The text contains the attribute `linear_share` in percent. It begins with a semicolon,
+        because it continues a sentence. It is empty if `linear_share` is NaN.
         """
         if isnan(self.linear_share):
             return ""
@@ -147,9 +145,9 @@ class Best:
     def is_inside(self) -> bool:
         """Whether the cases at the next smaller and next larger value of the field both finished.
 
-        If both cases finished, the quantity has a local minimum at the best value of the field.
-        Otherwise a neighbouring case failed, or the best value is the first or the last value in
-        the sweep. The quantity may then be still smaller at other values.
+        If so, the quantity has a local minimum at the best value of the field. Otherwise a
+        neighbouring case failed, or the best value is the first or last value in the sweep. The
+        true minimum may then be elsewhere.
         """
         return self.is_below_flown and self.is_above_flown
 
@@ -179,9 +177,8 @@ class SweepResults:
     def central_case(self) -> dict[str, Any]:
         """Field values of the sweep's central case, by dotted path, without random fields.
 
-        A field has the base scenario's value if the sweep contains this value. Otherwise the field
-        has the middle of its values in the sweep. If several fields change together, only the first
-        field is included. Heat maps and sensitivities vary one or two fields of the central case.
+        If several fields change together, only the first field is included. Heat maps and
+        sensitivities vary one or two fields of the central case.
         """
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
@@ -232,9 +229,6 @@ class SweepResults:
     def beside(self, *along: Dimension) -> dict[str, Any]:
         """Return the central case's field values without the fields of the given dimensions.
 
-        The central case has the field values of the base scenario. If the sweep lacks a field's
-        base value, the central case has the middle of the field's values.
-
         Parameters
         ----------
         *along : Dimension
@@ -251,9 +245,8 @@ class SweepResults:
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
         """Tabulate a quantity over two dimensions of the sweep, with all other fields held fixed.
 
-        Each other field is held at its value in the base scenario. If the sweep does not contain
-        this value, the field is held at the middle of its values. If the sweep has random fields,
-        the quantity is averaged over their draws.
+        The other fields are as in the central case. If the sweep has random fields, the quantity is
+        averaged over their draws.
 
         Parameters
         ----------
@@ -279,18 +272,15 @@ class SweepResults:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
         The values of a field are either given (listed or spaced) or drawn at random. While one
-        field varies, all other fields with given values are as in the central case. The central
-        case has the field values of the base scenario. If the sweep lacks a field's base value, the
-        central case has the middle of the field's values.
+        field varies, all other fields with given values are as in the central case.
 
-        For a field with given values, the range is taken over all values of the field, not only
-        over the first and the last value. If the field is an angle over a full turn, for example,
-        the quantity is the same at the first and the last value. If the sweep also has random
-        fields, the quantity is averaged over their draws.
-
-        For a random field, a linear function of all random fields is fitted to the quantity by
-        least squares. The range is that of the fitted function between the 5 % and 95 % quantiles
-        of the field's draws. The other random fields are at their means.
+        - Field with given values: the range is that of the quantity over all values of the field.
+          The first and the last value alone do not suffice: for an angle over a full turn, the
+          quantity is equal at both. If the sweep also has random fields, the quantity is averaged
+          over their draws.
+        - Random field: a linear function of all random fields is fitted to the quantity by least
+          squares. The range is that of this function between the 5 % and 95 % quantiles of the
+          field's draws, with the other random fields at their means.
 
         Parameters
         ----------
@@ -366,7 +356,8 @@ def _matching(rows: pd.DataFrame, fixed: Mapping[str, Any]) -> pd.DataFrame:
 def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the rows on the Pareto front of two quantities to minimise.
 
-    A row lies on the front if every other row is larger in at least one of the two quantities.
+    A row is on the front if every other row has a larger value of at least one of the two
+    quantities.
 
     Parameters
     ----------
@@ -424,9 +415,9 @@ class _Plane:
     """Linear least-squares fit of a quantity over the random fields of a sweep.
 
     The fit is ``middle + slopes @ (values - centre)``. ``values`` are the values of the random
-    ``fields``, and ``centre`` are the means of these values over the cases. ``middle`` is the value
-    of the fit at ``centre``. ``explained`` is the fraction of the quantity's variance that the fit
-    explains.
+    ``fields``, and ``centre`` are their means over the cases. ``middle`` is the value of the fit at
+    ``centre``. ``explained`` is the coefficient of determination: the fraction of the quantity's
+    variance that the fit explains.
     """
 
     fields: tuple[str, ...]

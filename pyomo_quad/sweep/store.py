@@ -97,8 +97,8 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
     mode : str
         SQLite's mode of opening: ``"ro"`` reads, ``"rw"`` also writes, ``"rwc"`` also creates.
     called : Path, optional
-        File name that error messages print; `file` by default. If `file` is a temporary copy of a
-        database, `called` is the file of the original database.
+        File name that error messages print; `file` by default. For a temporary copy of a database,
+        it is the original file.
 
     Yields
     ------
@@ -161,8 +161,7 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
     """Create the tables of a result store in an empty database.
 
-    The function also checks that the database is writable. If the database already has tables, only
-    this check is made.
+    If the database already has tables, the function only checks that the database is writable.
 
     Parameters
     ----------
@@ -458,9 +457,11 @@ class ResultStore:
 
         The new design must contain all stored cases. If the axes of the two designs differ, all
         stored warm starts are deleted. A warm start is a solution from which neighbouring cases
-        start. With other axes, a case has other neighbours. The store has warm starts of some cases
-        only; of which cases, depends on the moment at which the previous run ended. If the warm
-        starts were kept, the results of the new cases would depend on this moment, too.
+        start. With other axes, a case has other neighbours.
+
+        There are warm starts of some cases only, depending on the moment at which the previous run
+        ended. The results of new cases would depend on this moment if they started from old warm
+        starts.
 
         Parameters
         ----------
@@ -542,10 +543,10 @@ class ResultStore:
             Whether other cases start from the solution of this case. If so, the solution is stored
             as a warm start.
         spent : str, optional
-            Key of a case whose warm start is no longer needed, to delete the warm start. Empty to
+            Key of a case whose warm start is deleted, because it is no longer needed. Empty to
             delete none.
         outdated : iterable of str, optional
-            Keys of cases whose rows and warm starts are no longer valid, and are deleted.
+            Keys of cases whose rows and warm starts are deleted, because they are no longer valid.
 
         Raises
         ------
@@ -590,8 +591,8 @@ class ResultStore:
         Returns
         -------
         bytes or None
-            The solution of the case, packed into bytes. If the case could not be solved, the
-            solution from which the case itself was started. None if the store has no warm start of
+            The solution of the case, packed into bytes. For a case that could not be solved, it is
+            the solution from which this case was started. None if the store has no warm start of
             the case.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
@@ -675,10 +676,16 @@ _MOST_CHANGES = 5
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     """Continue a result store with a changed study, if the stored rows remain valid.
 
-    The rows remain valid if all their cases are in the new design, and base scenario, task and
-    baselines are unchanged. The task is to plan each case's flight, or to fly the base scenario's
-    plan in each case. The baselines are reference trajectories that the controller flies for
-    comparison. If the rows remain valid, the new design is written into the store.
+    The rows remain valid if all of these hold:
+
+    - All stored cases are in the new design.
+    - The base scenario is unchanged.
+    - The task is unchanged: to plan each case's flight, or to fly the base scenario's plan in each
+      case.
+    - The baselines are unchanged. They are reference trajectories that the controller flies for
+      comparison.
+
+    The new design is then written into the store.
 
     Parameters
     ----------

@@ -64,8 +64,8 @@ class Sampling(Part):
     def draw(self, axis_count: int) -> np.ndarray:
         """Draw random points in the unit cube; each point has a coordinate for each random field.
 
-        A point is one sample. The coordinate of a field is a probability: the field's value is the
-        quantile of the field's distribution at this probability.
+        A point is one sample. Its coordinates are probabilities: the value of a field is the
+        quantile of the field's distribution at the field's coordinate.
 
         With the method ``random``, a larger number of samples keeps the previous points and appends
         further points, so that a study can be extended. With a Latin hypercube, another number of
@@ -160,8 +160,8 @@ def load_study(path: str | FilePath) -> LoadedStudy:
     Parameters
     ----------
     path : str or Path
-        Study file (TOML). The study file gives the path of the base scenario relative to its own
-        folder.
+        Study file (TOML). It gives the path of the base scenario relative to the folder of the
+        study file.
 
     Returns
     -------
@@ -270,8 +270,8 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     Raises
     ------
     StudyError
-        If two axes set the same field, a value occurs twice, or there are too many cases. Also if
-        axes that change together have different numbers of values.
+        If two axes set the same field, a value occurs twice, there are too many cases, or axes that
+        change together have different numbers of values.
     ScenarioError
         If an axis names an unknown field, or has a value that the field does not allow.
 
@@ -394,8 +394,8 @@ def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any: 
     Returns
     -------
     object
-        The number as float or int, like the field's value in the base scenario. If no exact
-        conversion is possible, the given value.
+        The number as float or int, like the field's value in the base scenario. If an exact
+        conversion is impossible, the given value.
     """
     present = value_at(tables, *(parse_path(path) or ()))
     if isinstance(present, bool) or isinstance(value, bool):

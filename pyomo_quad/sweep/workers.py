@@ -1,9 +1,9 @@
 """Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
 Processes and cluster both offer an Executor of `concurrent.futures`. A worker may die, for example
-if it runs out of memory. The executor is then broken, and `Workers` replaces it. Any of the running
-cases may have killed the worker. All of them are therefore solved again, one at a time. If a worker
-dies again during a case, the case is given up, and the other cases continue.
+if it runs out of memory. The executor is then broken, and `Workers` starts a new one. Each case
+that was running may have killed the worker. All these cases are solved again, one at a time. If a
+worker dies again during one of them, this case is given up, and the other cases continue.
 """
 
 from collections import deque
@@ -32,9 +32,11 @@ WATCH_SECONDS = 2.0
 class ClusterError(PyomoQuadError, RuntimeError):
     """Error: a Dask cluster cannot be used, or was lost during a sweep.
 
-    A cluster cannot be used if `dask.distributed` is not installed on this machine or the cluster
-    cannot be reached. A cluster also cannot be used if pyomo_quad is missing or has another version
-    on a worker.
+    A cluster can be used if all of these hold:
+
+    - `dask.distributed` is installed on this machine.
+    - The cluster can be reached.
+    - Each worker has the same version of pyomo_quad as this machine.
 
     The results of cases that finished before the error remain in the result store.
     """
@@ -72,8 +74,8 @@ class Workers:
     def room(self) -> int:
         """Number of further cases that may be submitted now.
 
-        After a worker has died, the cases that were running are solved again, one at a time. During
-        this time the number is 0.
+        After a worker has died, the cases that were running are solved again, one at a time. Until
+        all of them have ended, the number is 0.
         """
         if self._suspects or self._is_alone:
             return 0
@@ -162,7 +164,7 @@ class Workers:
         self._accused.add(task.key)
 
     def _suspect_all(self) -> None:
-        """Queue all cases of a broken executor to be solved again, one at a time.
+        """Queue all running cases of a broken executor, to be solved again one at a time.
 
         An executor is broken if a worker process died. Any of the running cases may have killed the
         process.

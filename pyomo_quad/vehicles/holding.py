@@ -1,7 +1,7 @@
 """Comparison of computed with measured powers of vehicles.
 
-The vehicles of the package's library are compared with measurements. Vehicles of which only data
-sheets exist are compared with the published hover powers.
+The vehicles of the package's library are compared with measurements. For other vehicles only data
+sheets exist. Their estimated hover powers are compared with the published ones.
 """
 
 import tomllib
@@ -57,8 +57,8 @@ class Held:
     is_endurance : bool
         Whether the measured powers were computed from measured flight times.
     is_fitted : bool
-        Whether parameters of the vehicle's power model were fitted to measurements. The comparison
-        is then no independent test of the model.
+        Whether parameters of the vehicle's power model were fitted to measurements. If so, the
+        comparison is not an independent test of the model.
     source : str
         Source of the measurements.
     """
@@ -75,7 +75,7 @@ class Held:
     def errors(self) -> FloatArray:
         """Error of the computed power for each measurement [percent].
 
-        The error is computed minus measured power, divided by the measured power.
+        error = 100 (computed - measured) / measured.
         """
         return 100.0 * (self.computed / self.points[POWER].to_numpy() - 1.0)
 
@@ -83,8 +83,7 @@ class Held:
     def mean_error(self) -> float:
         """Mean absolute error of the computed power over all measurements [percent].
 
-        The error of each measurement, `errors`, is computed minus measured power, divided by the
-        measured power.
+        The mean is taken over the absolute values of `errors`.
         """
         return float(np.mean(np.abs(self.errors)))
 
@@ -180,15 +179,16 @@ def _folder() -> Any:  # noqa: ANN401  a Traversable, which has no stable home
 def data_sheets() -> pd.DataFrame:
     """Compare estimated with published hover powers of vehicles of which only data sheets exist.
 
-    If a data sheet gives only the endurance in hover, the published power is computed from the
-    endurance: 80 % of the battery's nominal energy, divided by the endurance.
+    Some data sheets give only the endurance in hover. The published power is then 80 % of the
+    battery's nominal energy, divided by the endurance.
 
     Returns
     -------
     DataFrame
         One row for each vehicle. The columns are title, mass [kg], propeller label (diameter and
-        pitch in inches), published and estimated hover power [W], error of the estimate relative to
-        the published power [percent], kind of publication (such as bench test), and source.
+        pitch in inches), published and estimated hover power [W], error of the estimate (100
+        (estimated - published) / published, percent), kind of publication (such as bench test), and
+        source.
     """
     told = tomllib.loads(_folder().joinpath(_SHEETS).read_text(encoding="utf-8"))
     rows = []

@@ -1,9 +1,9 @@
 """Estimation of a vehicle's model parameters from the few data that its owner knows.
 
-The owner states at least the vehicle's mass and the size of its propellers, and possibly the length
-of its arms, its battery and other data. From these data the module estimates all numbers of the
-vehicle that a scenario needs: model parameters, such as moments of inertia, as well as limits and
-battery. Each estimate has a range of uncertainty.
+The owner states at least the vehicle's mass and the size of its propellers. The length of the arms,
+the battery and other data are optional. From these data the module estimates all numbers of the
+vehicle that a scenario needs: model parameters such as moments of inertia, limits, and the battery.
+Each estimate has a range of uncertainty.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -99,7 +99,7 @@ class Known:
     hover_power : float or None
         Measured electrical power of the whole vehicle in hover [W].
     hover_said : str
-        Description of this measurement, such as "8 A at 15 V"; empty without a measurement.
+        Description of the hover measurement, such as "8 A at 15 V"; empty without a measurement.
     rotors : int
         Number of rotors.
     density : float
@@ -137,8 +137,7 @@ class EstimatedVehicle:
         Positions x, y of six or eight rotors [m]. None for four rotors, whose positions follow from
         the length of the arms.
     estimated_hover_W : float
-        Hover power [W] that follows from the estimates alone. A measured hover power does not
-        change it.
+        Hover power [W] from the estimates alone, even if the owner has measured the hover power.
     """
 
     known: Known
@@ -306,8 +305,7 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
     -------
     tuple of (dict, float)
         Estimate of each parameter, by the field's name in the scenario's table `vehicle`; and the
-        hover power [W] from the estimates alone. The owner's measurement does not change this hover
-        power.
+        hover power [W] from the estimates alone, even if the owner has measured it.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency

@@ -134,8 +134,8 @@ _MASS_SHARE = 0.3
 def usual_pack(mass: float) -> Pack:
     """Estimate the battery pack of a vehicle from the vehicle's mass.
 
-    The pack is assumed to have 30 % of the mass, and the number of cells in series that is usual
-    for this mass. Derivation: see docs/theory/vehicle_from_data.md, eq. (7).
+    The pack is assumed to have 30 % of the mass. The number of cells in series is the usual one for
+    this mass. Derivation: see docs/theory/vehicle_from_data.md, eq. (7).
 
     Parameters
     ----------

@@ -119,8 +119,8 @@ class RotorHover:
     speed : float
         Rotor speed [rad/s].
     ideal_power, induced_power, profile_power : float
-        Power of an ideal rotor with equal thrust and disc area; power to accelerate the air
-        downwards; and power to overcome the drag of the blades [W].
+        Powers [W]: that of an ideal rotor with equal thrust and disc area; the part that
+        accelerates the air downwards; the part that overcomes the drag of the blades.
     profile_over_thrust : float
         Profile power divided by T^1.5 / sqrt(rho A), dimensionless; T is the thrust, rho the air
         density and A the area of the rotor disc.

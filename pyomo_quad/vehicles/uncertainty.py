@@ -43,9 +43,9 @@ class Cause:
     measurement : str
         The measurement that would determine the quantity.
     low, high : ndarray, shape (len(AIRSPEEDS),)
-        Power of level flight [W] with the quantity at the lower end of its range of uncertainty,
-        and with the quantity at the upper end. There is one power for each airspeed in the constant
-        `AIRSPEEDS` [m/s]. The power is NaN where the vehicle has no steady flight.
+        Power of level flight [W] with the quantity at the lower end and at the upper end of its
+        range of uncertainty. There is one power for each airspeed in the constant `AIRSPEEDS`
+        [m/s]. The power is NaN at airspeeds that the vehicle cannot hold.
     """
 
     name: str
@@ -75,9 +75,9 @@ class PowerBand:
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
         """Return each cause with its mean relative effect on the power, the largest effect first.
 
-        A cause is an uncertain quantity. The effect is half the absolute difference between the
-        powers at both ends of the quantity's range, divided by the best estimate of the power. The
-        effect is averaged over the airspeeds.
+        A cause is an uncertain quantity with a range. Its effect at an airspeed is |high - low| /
+        (2 power). Here low and high are the powers at both ends of its range, and power is the best
+        estimate. The result is the mean of the effect over the airspeeds.
         """
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
@@ -122,8 +122,8 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
     """Combine the effects of independent causes on the power to one change of the power [W].
 
-    `changes` has one array for each cause: the change of the power [W] at each airspeed. The result
-    is the square root of the sum of the squared changes at each airspeed.
+    `changes` has one array for each cause: the change of the power [W] at each airspeed. At each
+    airspeed, the result is the square root of the sum of the squared changes.
     """
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 
@@ -136,9 +136,9 @@ def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]
     Returns
     -------
     list of (str, str, Numbers, Numbers)
-        For each quantity: name, measurement that would determine the quantity, field values at the
-        lower end of the quantity's range, and field values at the upper end. The field values are
-        mappings from field names of the scenario's table `vehicle` to numbers. They contain only
+        For each quantity: its name, the measurement that would determine it, and two mappings. The
+        mappings give the field values at the lower and at the upper end of the quantity's range.
+        Their keys are names of fields in the scenario's table `vehicle`. They contain only the
         fields that depend on the quantity.
     """
     value = {name: one.value for name, one in vehicle.fields.items()}

@@ -2,9 +2,9 @@
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_. If all
 coefficients satisfy a bound, the whole polynomial therefore satisfies the bound too. The converse
-is false, so bounds on the coefficients restrict the solution more than necessary. The multipliers
-of the bounds on the coefficients give the cost of the restriction: see
-docs/theory/transcription.md, eqs. (6) and (7).
+is false: a polynomial within the bound may have a coefficient beyond it. Bounds on the coefficients
+therefore restrict the solution more than necessary. The cost of this restriction follows from the
+multipliers of these bounds: see docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -44,11 +44,12 @@ class BernsteinRule:
     variable has values at the collocation points only. The last collocation point is the element's
     right end.
 
-    The first Bernstein coefficient is the polynomial's value at the left end, and the last
-    coefficient is its value at the right end. If one of these values is an unknown of the program,
-    the bounds of the unknown apply to it already, and the maps leave the coefficient out. For a
-    state they leave out the first and the last coefficient; for an algebraic variable they leave
-    out the last coefficient only.
+    The first Bernstein coefficient is the value at the left end, and the last is the value at the
+    right end. If such a value is an unknown of the program, it has bounds already. The maps
+    therefore leave out
+
+    - the first and the last coefficient of a state;
+    - the last coefficient of an algebraic variable.
 
     Attributes
     ----------
@@ -56,8 +57,8 @@ class BernsteinRule:
         Matrix from the variable's values in the element to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
         Matrix from the variable's values in the element to the values of its polynomial at the
-        abscissae of the coefficients. The abscissae of all coefficients, including those left out,
-        are equidistant in the element.
+        abscissae of the coefficients. With those of the coefficients left out, the abscissae are
+        equidistant from 0 to 1.
     """
 
     coefficients: FloatArray
@@ -133,10 +134,9 @@ class BernsteinRows:
     def scales(self, own: Scaling) -> FloatArray:
         """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        `own` is the scaling of the program to which the bounds are added. The bound on a
-        coefficient is a linear constraint. The factor of the constraint is chosen so that the
-        largest absolute derivative of the scaled constraint with respect to the scaled unknowns
-        is 1.
+        The bound on a coefficient is a linear constraint. Its factor makes the largest absolute
+        derivative of the scaled constraint, with respect to the scaled unknowns, equal to 1. `own`
+        is the scaling of the program to which the bounds are added.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -145,11 +145,10 @@ class BernsteinRows:
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
-        A polynomial may satisfy a bound although one of its Bernstein coefficients exceeds the
-        bound. A bound on this coefficient raises the objective more than a bound on the polynomial
-        would. The increase is estimated as a product: the multiplier of the coefficient's bound,
-        times the distance between the coefficient and the value of the polynomial at the
-        coefficient's abscissa.
+        A bound on a coefficient raises the objective more than a bound on the polynomial would,
+        because the coefficient may exceed the bound where the polynomial does not. The increase is
+        estimated as multiplier * (coefficient - value). The multiplier is that of the coefficient's
+        bound. The value is that of the polynomial at the coefficient's abscissa.
 
         Parameters
         ----------
@@ -181,9 +180,9 @@ class Restraint:
     ----------
     cost : ndarray, shape (n_elements,)
         First-order estimate of the increase that the bounds in each element cause, in the unit of
-        the objective. The bounds are imposed on the Bernstein coefficients of the variables'
-        polynomials. They are stricter than bounds on the polynomials themselves, and therefore
-        raise the objective.
+        the objective. The bounds apply to the Bernstein coefficients of the variables' polynomials.
+        The objective increases because these bounds are stricter than bounds on the polynomials
+        themselves.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.
@@ -196,16 +195,17 @@ class Restraint:
 def bounded(
     program: Transcription, bounds: Bounds, z: FloatArray, breach: float
 ) -> BernsteinRows | None:
-    """Return bounds on Bernstein coefficients in the elements where a trajectory is near a bound.
+    """Return bounds on Bernstein coefficients in those elements where a variable is near a bound.
 
-    Bounds on the coefficients keep the trajectory within the variables' bounds between the
-    collocation points too. The Bernstein coefficients are first computed for the given trajectory.
-    If one coefficient of a variable in an element is near a bound of the variable, all coefficients
-    of this variable in this element are bounded.
+    Bounds on the coefficients keep a variable within its bounds between the collocation points too.
 
-    A coefficient is near a bound if it violates the bound, or if its distance from the bound is
-    below a margin. If both bounds of the variable are finite, the margin is 0.45 times the distance
-    between the two bounds. If only one bound is finite, the margin is 0.45 max(1, abs(bound)).
+    The Bernstein coefficients are first computed for the given trajectory. If at least one
+    coefficient of a variable in an element is near a bound of the variable, all its coefficients in
+    this element are bounded. A coefficient is near a bound if it violates the bound, or if its
+    distance from the bound is below a margin:
+
+    - 0.45 times the distance between the two bounds, if both are finite;
+    - 0.45 max(1, abs(bound)), if only one bound is finite.
 
     Parameters
     ----------
@@ -252,8 +252,8 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
     """Return the lower and the upper bound of one variable in one element.
 
     `bounds` are the bounds of all unknowns, and `columns` are the positions of the variable's
-    unknowns in the element. A bound that differs between these unknowns counts as absent
-    (infinite).
+    unknowns in the element. If a bound is not the same for all these unknowns, it is infinite in
+    the result.
     """
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
@@ -267,9 +267,10 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 
     `values` are the Bernstein coefficients of the variable in the element; `low` and `high` are the
     bounds of the variable. The trajectory is near a bound if a coefficient violates the bound, or
-    if a coefficient's distance from the bound is below a margin. If both bounds are finite, the
-    margin is 0.45 times the distance between the two bounds. If only one bound is finite, the
-    margin is 0.45 max(1, abs(bound)).
+    if a coefficient's distance from the bound is below a margin:
+
+    - 0.45 times the distance between the two bounds, if both are finite;
+    - 0.45 max(1, abs(bound)), if only one bound is finite.
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:

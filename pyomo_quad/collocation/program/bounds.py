@@ -152,11 +152,10 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
     A constraint over time on a single variable counts as a bound of that variable. The bounds may
     depend on time and on parameters.
 
-    `program` is the nonlinear program on one mesh. It has the parameter values at the collocation
-    points. `start_data` has the parameter values at all other times that are needed: one row for
-    the start of the horizon, and one row for the time just after each jump of a parameter. The
-    columns of `start_data` are the fraction of the horizon, the time-dependent parameters and the
-    constant parameters.
+    `program` is the nonlinear program on one mesh, with the parameter values at the collocation
+    points. `start_data` has the parameter values at other times: one row for the start of the
+    horizon, then one row for the time just after each jump of a parameter. Its columns are the
+    fraction of the horizon, the time-dependent parameters and the constant parameters.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
@@ -173,10 +172,9 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    A bound may jump together with the parameter. At the node of the jump, the state must satisfy
-    two bounds: the bound just before the jump, and the bound just after the jump. This function
-    yields the bounds just after the jump. The function `_over_time` yields the bounds just before
-    the jump: the node is the last collocation point of the element that ends at the jump.
+    A bound may jump together with the parameter. At the node of the jump, the state must then
+    satisfy both the bound before and the bound after the jump. This function yields the bound after
+    the jump. The function `_over_time` yields the bound before the jump.
 
     `program` is the nonlinear program on one mesh. `data` has one row per jump: the fraction of the
     horizon, the time-dependent parameters just after the jump, and the constant parameters.
@@ -259,9 +257,9 @@ def _refuse_crossed_times(program: Transcription) -> None:
 
     A declared time is a member of the continuous set. A free time is a static variable (a variable
     without time) that gives the physical time of a declared time. The free times must increase in
-    the order of the declared times. The bounds contradict this order if the smallest permitted
-    value of a free time is not below the largest permitted value of a later free time. `program` is
-    the nonlinear program to which the free times belong.
+    the order of the declared times. An error is raised if the lower bound of a free time is at or
+    above the upper bound of a later free time. `program` is the nonlinear program with the free
+    times.
     """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
@@ -291,7 +289,7 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 
 
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
-    """Return the error for a lower bound that exceeds the upper bound of the same quantity.
+    """Return the error for a quantity whose lower bound exceeds its upper bound.
 
     `place` gives the name of the variable or constraint, and its time. The message begins with
     `place`. `lower` and `upper` are the two bounds.
@@ -316,10 +314,13 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
     """Return scaling factors of a nonlinear program, for given values of its unknowns.
 
     `z` are the values of the unknowns, and `bounds` the bounds of the program. The factor of an
-    unknown is the scaling factor of its variable in the Pyomo model, if the model has one.
-    Otherwise the factor is the inverse of the variable's magnitude, which the function
-    `nominal_magnitudes` computes from values and bounds. The factors of constraints and objective
-    follow from their derivatives at `z`.
+    unknown is
+
+    - the scaling factor of its variable in the Pyomo model, if there is one;
+    - otherwise 1 / magnitude of the variable. The function `nominal_magnitudes` computes the
+      magnitude from values and bounds.
+
+    The factors of constraints and objective follow from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
@@ -327,11 +328,13 @@ def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling
 def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program, given the magnitudes of its unknowns.
 
-    The factor of an unknown is the inverse of its magnitude. The factor of a constraint is about
-    the inverse of the constraint's largest absolute derivative. The factor of the objective is the
-    inverse of the larger of two numbers: the objective's absolute value, and its largest absolute
-    derivative. If the gradient of the objective is zero, the factor of the objective is 1. All
-    derivatives are taken at the point `z`, with respect to the scaled unknowns.
+    The factors are:
+
+    - unknown: 1 / magnitude;
+    - constraint: about 1 / largest absolute derivative;
+    - objective: 1 / max(abs(objective), largest absolute derivative); 1 if its gradient is zero.
+
+    All derivatives are taken at the point `z`, with respect to the scaled unknowns.
 
     Parameters
     ----------
@@ -412,10 +415,10 @@ def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float
 
 
 def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> None:
-    """Raise an error if a program has values that are not finite, or is over-determined.
+    """Raise an error if a program has infinite or NaN values, or contradictory equations.
 
-    A program is over-determined if it has more equations than free unknowns, and its equations are
-    linear and contradict each other.
+    The equations are checked if the program has more equations than free unknowns. They are
+    contradictory if they are linear and have no solution.
 
     Parameters
     ----------
@@ -490,10 +493,11 @@ def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) 
     `bounds`. The free unknowns are those with unequal bounds.
 
     The equations are linearised at the unknowns `z`. A least-squares step of the free unknowns
-    minimises the residuals of the linearised equations. After the step, the residuals of the
-    original equations are compared with those of the linearised equations. If both are equal, the
-    equations count as linear. Linear equations have no solution if the remaining residuals are not
-    zero.
+    minimises the residuals of the linearised equations. Two tests follow:
+
+    - The equations count as linear if their residuals after the step equal those of the linearised
+      equations.
+    - Linear equations have no solution if these residuals are not zero.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
@@ -522,10 +526,10 @@ _ROUNDING = 1e-9
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
     """Return bounds in which redundant constraints have infinite bounds.
 
-    A constraint is redundant here if it contains fixed unknowns only, and is satisfied. An example
+    A constraint is redundant here if it is satisfied, and contains fixed unknowns only. An example
     is a path equality at a point where all states in the equality are fixed. The derivatives of
-    such an equality with respect to all free unknowns are zero. If the equality were not left out,
-    the equations would appear linearly dependent.
+    such an equality with respect to all free unknowns are zero. Such an equality would make the
+    equations appear linearly dependent.
 
     `bounds` are the bounds of `program`, and `z` are the unknowns at which the constraints are
     evaluated.

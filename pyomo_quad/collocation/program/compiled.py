@@ -1,4 +1,4 @@
-"""The model before discretisation, as CasADi functions of a single collocation point.
+"""CasADi functions of a model at a single collocation point, before discretisation.
 
 The functions are compiled once per model, independently of the mesh. CasADi's method `map`
 evaluates them at all collocation points.
@@ -112,23 +112,22 @@ class MappedFunction:
 
 
 def set_outputs_aside(declared: Declarations) -> Declarations:
-    """Return a copy of a model's declarations, with output states and their equations set aside.
+    """Return a copy of a model's declarations, in which the output states are set aside.
 
-    An output state affects neither the objective nor other equations, for example an energy that is
-    only reported. Output states need not be part of the nonlinear program, and are computed from
-    its solution. `declared` are the declarations: the variables, equations and objective of the
-    model.
-
-    In the copy, the output states are moved to the attribute `outputs`. Their equations and initial
+    An output state affects neither the objective nor other equations. An example is an energy that
+    is only reported. Output states are left out of the nonlinear program, and are computed from its
+    solution. In the copy, they are moved to the attribute `outputs`. Their equations and initial
     conditions are moved to the attributes `output_equations` and `output_starts`.
 
-    A state is an output state if it meets three conditions:
+    A state is an output state if all of these hold:
 
     - the state and its time derivative appear in a single equality;
     - the state has no bounds;
     - the state is fixed at the start and nowhere else.
 
-    The search is repeated, so that it also finds states on which only other output states depend.
+    The search is repeated. It thus also finds states that affect only other output states.
+
+    `declared` are the declarations: the variables, equations and objective of the model.
     """
     while True:
         found = _one_output(declared)
@@ -201,9 +200,13 @@ def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
 
     A condition is a constraint at declared times (members of the continuous set), or a value fixed
     at a declared time. An initial condition is a condition at the start of the horizon. The result
-    is also False if the initial condition contains other variables, or if the objective contains
-    the state's value at a declared time. `declared` are the declarations of the model, with its
-    conditions and objective, and `slot` is the state.
+    is False in two further cases:
+
+    - the initial condition contains other variables;
+    - the objective contains the state's value at a declared time.
+
+    `declared` are the declarations of the model, with its conditions and objective, and `slot` is
+    the state.
     """
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -238,9 +241,9 @@ class SimpleBound:
         Coefficient of the variable in the constraint; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
         Lower and upper bound of the variable, as expressions of the parameters. A bound over time
-        may also depend on the fraction of the horizon. If a constraint bounds the expression
-        ``slope * variable + offset``, the bounds of the variable are those of the constraint, minus
-        the offset, divided by the slope. A negative slope exchanges lower and upper bound.
+        may also depend on the fraction of the horizon. A constraint ``low <= a * x + b <= high`` on
+        the variable x, with a slope a > 0, gives the bounds (low - b) / a and (high - b) / a. For a
+        < 0, the two bounds are exchanged.
     """
 
     name: str
@@ -275,7 +278,7 @@ def split_simple_bounds(
         Every variable symbol by name; any other symbol in a constraint is a parameter.
     candidates : frozenset of str
         Names of the variables that are unknowns of the nonlinear program. Only these variables can
-        have bounds; the time derivative of a state, for example, cannot.
+        have bounds. The time derivative of a state, for example, is no unknown.
 
     Returns
     -------
@@ -297,7 +300,7 @@ def split_simple_bounds(
 def _as_simple_bound(
     relation: PathEquation | PointCondition, variables: dict[str, Any], candidates: frozenset[str]
 ) -> SimpleBound | None:
-    """Return a constraint on a single variable as a `SimpleBound`, else None.
+    """Return a constraint on a single variable as a `SimpleBound`, otherwise None.
 
     Parameters
     ----------
@@ -311,8 +314,12 @@ def _as_simple_bound(
     Returns
     -------
     SimpleBound or None
-        None for an equality over time, and for a constraint that contains several variables. None
-        also if the variable enters nonlinearly, or is no unknown of the nonlinear program.
+        None for each of these constraints:
+
+        - an equality over time;
+        - a constraint that contains several variables;
+        - a constraint that is nonlinear in its variable, or whose slope depends on parameters;
+        - a constraint on a variable that is no unknown of the nonlinear program.
     """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
@@ -368,11 +375,12 @@ class DerivedFunctions:
 class TableArguments:
     """Arguments of the interpolation tables in a model, with functions for the arguments' values.
 
-    The values serve to check whether a solution evaluates a table outside the range of its data.
+    The values of the arguments show whether a solution evaluates a table outside the range of its
+    data.
 
-    A `TableUse` is one argument of a table in one equation. It has the argument as an expression,
-    and the table's range. A condition is a constraint at declared times (members of the continuous
-    set). A static variable is a variable without time.
+    A `TableUse` is one argument of a table in one equation: the argument as an expression, with the
+    table's range. A condition is a constraint at declared times (members of the continuous set). A
+    static variable is a variable without time.
 
     Attributes
     ----------
@@ -431,14 +439,14 @@ class CompiledModel:
         (static variables, parameters) -> physical times: the start of the horizon, the free
         interior times (interior times that the solve determines), and the end.
     row_integrals : tuple of int
-        Positions, among all integrals of the model, of the integrals that enter the objective
-        directly: no static variable stands for them.
+        Positions, among all integrals of the model, of those that enter the objective directly.
+        Each other integral is replaced by a static variable.
     symbols : (casadi.SX, casadi.SX)
         Symbols of the variables and the data of a point.
     tables : TableArguments
         Arguments of the interpolation tables.
     static_of_integral : dict
-        Position of an integral -> position of the static variable that equals it.
+        Position of an integral -> position of the static variable that replaces it.
     """
 
     declared: Declarations
@@ -463,8 +471,8 @@ class CompiledModel:
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the model, with all its CasADi expressions serialised into one text.
 
-        Several expressions of the model contain the same symbols. Because all expressions are in
-        one text, they still share these symbols in the restored model.
+        The same symbols occur in several expressions of the model. In the restored model, the
+        expressions still share these symbols, because all expressions are serialised together.
         """
         parts = {item.name: getattr(self, item.name) for item in fields(self)}
         return _unpacked, (packed(parts),)
@@ -478,8 +486,8 @@ class CompiledModel:
 
         The scaling divides each unknown by the magnitude of its variable. `magnitudes` maps names
         to magnitudes. A name is that of a variable, or of the Pyomo component to which the variable
-        belongs. A variable that the mapping does not name has no declared magnitude in the copy. If
-        no magnitude changes, the result is the model itself.
+        belongs. In the copy, only the variables that `magnitudes` names have a declared magnitude.
+        If no magnitude changes, the result is the model itself.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -527,13 +535,13 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
     `declared` has the variables, equations and objective of the Pyomo model, as CasADi symbols and
     expressions. These declarations are changed before they are compiled:
 
-    - Some states affect neither the objective nor any other equation. These states are left out of
-      the nonlinear program, and are computed from its solution. If the objective is constant, no
-      state is left out.
+    - States that affect neither the objective nor other equations are left out of the nonlinear
+      program, and are computed from its solution. If the objective is constant, no state is left
+      out.
     - A constraint on a single variable becomes a bound.
-    - A static variable (variable without time) replaces each integral in a condition (constraint at
-      declared times), or in a nonlinear term of the objective. A constraint makes the static
-      variable equal to the integral.
+    - An integral is replaced by a static variable (variable without time) if it enters a condition
+      (constraint at declared times) or a nonlinear term of the objective. A constraint makes the
+      static variable equal to the integral.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -586,26 +594,27 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def _times(declared: Declarations, parameters: Any) -> Any:
-    """Return a CasADi function for the physical times at which phases of the horizon begin or end.
+    """Return a CasADi function for the physical times that bound the phases of the horizon.
 
     The function maps (static variables, parameters) to a column of times: the start of the horizon,
     the free interior times (interior times that the solve determines), and the end. A phase lies
-    between two consecutive times. Static variables are variables without time. `declared` has the
-    static variables and the expressions of the times. `parameters` is the column of the parameters'
-    symbols.
+    between two consecutive times. Static variables are variables without time.
+
+    `declared` has the static variables and the expressions of the times. `parameters` is the column
+    of the parameters' symbols.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
 
 
 def with_moving_limits(declared: Declarations) -> Declarations:
-    """Return a copy of a model's declarations, in which all bounds over time depend on data alone.
+    """Return a copy of a model's declarations, without bounds that depend on static variables.
 
-    The data are the fraction of the horizon and the parameters. If the solve determines physical
-    times of the horizon, the time t depends on static variables (variables without time). The bound
-    t in a constraint such as ``m.x[t] <= t`` then depends on static variables too. In the copy,
-    such a bound is subtracted from both sides: the constraint becomes ``m.x[t] - t <= 0``. A
-    variable's own bound that depends on static variables is first written as a constraint.
+    A static variable is a variable without time. If the solve determines physical times of the
+    horizon, the time t depends on static variables. So does the upper limit of ``m.x[t] <= t``. In
+    the copy, this constraint is written as ``m.x[t] - t <= 0``. All bounds over time in the copy
+    depend only on the data: the fraction of the horizon and the parameters. A variable's own bound
+    that depends on static variables is first written as a constraint.
 
     `declared` are the declarations: the variables, equations and objective of the model.
     """
@@ -638,12 +647,12 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 
 
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
-    """Return constraints equivalent to a path equation, with limits that depend on data alone.
+    """Return constraints equivalent to `equation`, whose limits depend on data alone.
 
-    `equation` is a constraint over time, with a lower and an upper limit. The data are the fraction
-    of the horizon and the parameters. `moves` is a function that tells whether a limit depends on
-    static variables (variables without time). Each limit that depends on static variables becomes a
-    separate constraint: the limit is subtracted from the constraint's expression.
+    The data are the fraction of the horizon and the parameters. `equation` is a constraint over
+    time, with a lower and an upper limit. Each limit that depends on static variables (variables
+    without time) becomes a separate constraint: ``y <= limit`` becomes ``y - limit <= 0``, for the
+    expression y. `moves` is a function that tells whether a limit depends on static variables.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -679,11 +688,12 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the bound of a constraint from whose expression a limit has been subtracted.
+    """Return the bound of the difference (expression - limit) in a constraint over time.
 
-    The limit of the original constraint may exist in some parts of the horizon only. In these
-    parts, the bound of the difference (expression minus limit) is 0. In all other parts, the bound
-    is infinite. The result is a CasADi expression.
+    The constraint was ``expression <= limit`` or ``expression >= limit``; the limit has been
+    subtracted from both sides. The limit may exist in some parts of the horizon only. In these
+    parts, the bound of the difference is 0. In all other parts, the bound is infinite. The result
+    is a CasADi expression.
 
     `unbounded` is a CasADi expression that is 1 in the parts without the limit, else 0. `none` is
     the infinite value: positive for an upper limit, negative for a lower limit.
@@ -693,7 +703,7 @@ def _infinite_where(unbounded: Any, none: Any) -> Any:
 
 
 def _moving_side(side: Any) -> tuple[Any, Any]:
-    """Split a limit into its finite value and an indicator of its absence.
+    """Split a limit into its finite value, and an indicator of where the limit is absent.
 
     `side` is the lower or the upper limit of a constraint over time, as a CasADi expression. The
     model may declare different limits in different parts of the horizon. The expression is then a
@@ -737,9 +747,9 @@ def _table_arguments(
     Returns
     -------
     TableArguments
-        The table arguments and their functions. A table argument is omitted if it contains a
-        variable that is neither in `path_variables` nor in `point_variables`. The equation of such
-        an argument has been left out of the nonlinear program.
+        The table arguments and their functions. Table arguments in equations that have been left
+        out of the nonlinear program are omitted. They contain a variable that is missing from
+        `path_variables` and `point_variables`.
     """
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
@@ -757,7 +767,7 @@ def _table_arguments(
 
 
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
-    """Return a hash that identifies a model; parameter values do not affect the hash.
+    """Return a hash that identifies a model, independently of parameter values.
 
     The hash serves to check that a warm start (the solution of an earlier solve) belongs to the
     same model. The hash is computed from `functions`, from the names of equations and variables,
@@ -786,9 +796,8 @@ def _anonymous(function: Any) -> str:
 
     `function` is the CasADi function. In the text, its inputs are named i0, i1 and so on.
 
-    The text determines the hash that identifies the model. The names of the model's symbols may
-    contain times, as in ``x[0.5]``: members of the model's continuous set. The hash must not depend
-    on these times.
+    The text determines the hash that identifies the model. A name such as ``x[0.5]`` contains a
+    time. The hash must be independent of such times, and therefore of the names.
     """
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
@@ -835,8 +844,8 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables in conditions and objective, by name and in fixed order.
 
     Conditions are constraints at declared times (members of the continuous set). The order is:
-    values of variables at declared times, static variables (variables without time), and integrals
-    that no static variable equals.
+    values of variables at declared times, static variables (variables without time), and integrals.
+    An integral that is replaced by a static variable is listed only as this static variable.
     """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
@@ -846,12 +855,12 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of those unknowns that a condition may bound.
+    """Return the names of the unknowns that a condition on a single unknown may bound.
 
-    A condition is a constraint at declared times (members of the continuous set). The returned
-    names are those of states at declared times, and of static variables (variables without time).
-    If a condition contains only one of these unknowns, the condition becomes a bound. `declared`
-    are the declarations of the model.
+    A condition is a constraint at declared times (members of the continuous set). If it contains
+    only one of the returned unknowns, it becomes a bound. The returned names are those of states at
+    declared times, and of static variables (variables without time). `declared` are the
+    declarations of the model.
     """
     states = {s.name for s in declared.states}
     at_points = {
@@ -868,9 +877,9 @@ def _is_static(declared: Declarations, name: str) -> bool:
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, with a static variable for some of the integrals.
 
-    A static variable is a variable without time. An integral gets a static variable if it enters a
-    condition (constraint at declared times), or a nonlinear term of the objective. A constraint of
-    the nonlinear program (a single dense row) then makes the static variable equal to the integral.
+    A static variable is a variable without time. It replaces an integral that enters a condition
+    (constraint at declared times) or a nonlinear term of the objective. A constraint of the
+    nonlinear program (a single dense row) then makes the static variable equal to the integral.
     `declared` are the declarations: the variables, equations and objective of the model.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))

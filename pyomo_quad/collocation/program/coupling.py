@@ -4,17 +4,18 @@ Each continuous set of the model is a horizon, for which a nonlinear program is 
 program has the constraints over the set. It also has the constraints on values at single times of
 the set, if no other set is involved. The objective and all other constraints form the coupling.
 
-In the coupling, each integral over a horizon is replaced by a static variable (a variable without
-time). So is each value of a variable at a declared time (a member of the continuous set). If the
-replaced value is that of a state, the static variable and the state at that time are the same
-unknown of the joint program. In all other cases, a constraint of the horizon's program makes the
-static variable equal to the replaced value or integral.
+The coupling contains integrals over a horizon, and values of variables at declared times (members
+of the continuous sets). They are treated in three ways:
 
-An integral that enters only the objective, and linearly, needs no static variable. It moves into
-the objective of the horizon's program.
+- Integral that enters only the objective, and linearly: it moves into the objective of the
+  horizon's program.
+- Value of a state: a static variable (variable without time) replaces it. The static variable and
+  the state at that time are the same unknown of the joint program.
+- Any other integral or value: a static variable replaces it. A constraint of the horizon's program
+  makes the static variable equal to the integral or value.
 
-The joint nonlinear program has the unknowns of each horizon first. The static variables that share
-no unknown with a state follow.
+The unknowns of the joint program are the unknowns of each horizon, then the static variables that
+share no unknown with a state.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ class Link:
 
     @property
     def condition(self) -> PointCondition:
-        """Constraint that makes the static variable equal to the value that it stands for.
+        """Constraint that makes the static variable equal to the value that it replaces.
 
         The value is that of a variable of the horizon at one time. The constraint belongs to the
         nonlinear program of the horizon.
@@ -96,8 +97,8 @@ class Link:
 class CouplingWriter(TemplateWriter):
     """Translator from Pyomo to CasADi, for constraints on several horizons and for the objective.
 
-    A static variable is a variable without time. The translator replaces the value of a horizon's
-    variable at a single time by a static variable that equals this value.
+    A value of a horizon's variable at a single time is replaced by a static variable (a variable
+    without time) that equals this value.
 
     Attributes
     ----------
@@ -117,8 +118,8 @@ class CouplingWriter(TemplateWriter):
         """Return the objective as a CasADi expression.
 
         The objective may contain values at any declared time (member of a continuous set).
-        Constraints on several horizons, in contrast, may contain values only at the start and the
-        end of a horizon. `objective` is the Pyomo objective.
+        Constraints on several horizons are more restricted: they may contain values at the start
+        and at the end of a horizon only. `objective` is the Pyomo objective.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -127,9 +128,11 @@ class CouplingWriter(TemplateWriter):
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
         The variable or parameter `data` appears in the objective or in a constraint on several
-        horizons. If `data` belongs to one horizon, at a single time, the result is the symbol of a
-        static variable (a variable without time) that equals `data`. If `data` has no time, the
-        result is the symbol of `data` itself.
+        horizons.
+
+        - If `data` belongs to one horizon, at a single time, the result is the symbol of a static
+          variable (a variable without time) that equals `data`.
+        - If `data` has no time, the result is the symbol of `data` itself.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -158,12 +161,16 @@ class CouplingWriter(TemplateWriter):
         return self.links[data.name].slot.symbol
 
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
-        """Raise an error for a value that a coupling of several horizons must not contain.
+        """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        The coupling (objective, and constraints on several horizons) must not contain the value of
-        a time-dependent parameter at a single time. Its constraints must not contain values at
-        interior times of a horizon. `reader` is the reader of the value's horizon, and `data` the
-        Pyomo variable or parameter.
+        The coupling consists of the objective and of the constraints on several horizons. Two kinds
+        of values are refused:
+
+        - the value of a time-dependent parameter at a single time;
+        - a value at an interior time of a horizon, in a constraint. In the objective, it is
+          permitted.
+
+        `reader` is the reader of the value's horizon, and `data` the Pyomo variable or parameter.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -180,11 +187,11 @@ class CouplingWriter(TemplateWriter):
             )
 
     def named(self, expression: Any) -> Any:
-        """Return the symbol that replaces a named Pyomo expression, None if it is not replaced.
+        """Return the symbol that replaces a named Pyomo expression, or None.
 
-        The expression appears in the objective or in a constraint on several horizons. Only the
-        integrals over the horizons are replaced. Any other named expression is translated like an
-        unnamed expression.
+        The expression appears in the objective or in a constraint on several horizons. Integrals
+        over the horizons are replaced by symbols. For any other named expression the result is
+        None; it is translated like an unnamed expression.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
@@ -209,13 +216,13 @@ class CoupledDeclarations:
         Declarations that belong to no single horizon, and their reader. These declarations are the
         objective, the constraints on several horizons, and the constraints without any horizon.
     states : dict
-        Static variables (variables without time) of the coupling that equal a state of a horizon.
-        The name of the static variable is the key; the value is a pair: the name of the horizon,
-        and the state with its declared time (a member of the continuous set).
+        Static variables (variables without time) of the coupling that equal a state of a horizon:
+        name of the static variable -> (name of the horizon, state with its declared time). A
+        declared time is a member of the continuous set.
     links : tuple of str
-        Names of the static variables of the coupling that equal a variable other than a state, such
-        as a control, at a declared time. Each of these equalities is a constraint of the horizon.
-        The constraint has the name of the static variable.
+        Names of the static variables of the coupling that equal another variable, such as a
+        control, at a declared time. Each of these equalities is a constraint of the horizon. The
+        constraint has the name of the static variable.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -292,13 +299,13 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error for an equality that links two horizons with a gap of time between them.
+    """Raise an error if an equality continues one horizon in another after a gap in time.
 
     An equality between a value at the end of one horizon and a value at the start of a later
-    horizon is meant to continue the earlier horizon. The equality is refused if, according to the
-    continuous sets, the later horizon starts after the earlier horizon has ended. A gap is accepted
-    if a static variable (a variable without time) gives the physical time of this start or of this
-    end.
+    horizon is meant to continue the earlier horizon. It is refused if the later continuous set
+    begins after the earlier set has ended. The gap is accepted if the end of the earlier horizon,
+    or the start of the later horizon, is free: a static variable (a variable without time) gives
+    its physical time.
 
     Parameters
     ----------
@@ -359,9 +366,9 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for a horizon's integrals that are used outside the horizon.
 
-    A static variable is a variable without time; each of the returned variables stands for one
-    integral. `reader` is the reader of the horizon's declarations, with the integrals over the
-    horizon. `names` are the names of the symbols in objective and constraints on several horizons.
+    Each returned static variable (a variable without time) stands for one integral. `reader` is the
+    reader of the horizon's declarations, with the integrals over the horizon. `names` are the names
+    of the symbols in the objective and in the constraints on several horizons.
     """
     return [
         integral.slot
@@ -402,7 +409,7 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 
 
 class Union:
-    """Positions of several programs' unknowns and constraints in their joint nonlinear program.
+    """Positions of the unknowns and constraints of several programs in their joint program.
 
     Static variables (variables without time) with the same name share one unknown.
 
@@ -491,18 +498,18 @@ class Union:
         )
 
     def part(self, whole: Part, k: int) -> Part:
-        """Return the part of bounds, scaling or Ipopt's result that belongs to the k-th program.
+        """Return the part of bounds, scaling or Ipopt's result that belongs to one program.
 
-        `whole` is the bounds, the scaling or the result of the joint program, and `k` counts from
-        0. The result has the same type as `whole`.
+        `whole` is the bounds, the scaling or the result of the joint program. `k` is the number of
+        the program, from 0. The result has the same type as `whole`.
         """
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
 
-        The scaling divides each unknown by its magnitude. The magnitude follows from the declared
-        scaling factor of the variable or, without a declared factor, from the bounds and the value
+        The scaling divides each unknown by its magnitude. The magnitude follows from the variable's
+        declared scaling factor. Without a declared factor, it follows from the bounds and the value
         of the unknown. `whole` has the bounds of the joint program, and `z` the values of its
         unknowns.
         """
@@ -561,7 +568,7 @@ class CoupledProgram:
 
     @property
     def is_negated(self) -> bool:
-        """Whether the Pyomo model maximises its objective, so that the negative is minimised."""
+        """Whether the Pyomo model maximises its objective; Ipopt then minimises the negative."""
         return self.programs[0].is_negated
 
     def objective(self, z: FloatArray) -> float:

@@ -36,15 +36,15 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    Only equalities are considered. The linear variables of an equation are the algebraic variables
-    that enter it with a constant coefficient. An equation with a single linear variable defines
-    this variable. Once a variable is defined, it no longer counts as a linear variable of other
-    equations, which may then define further variables. The search ends when no equation has a
-    single linear variable.
+    Only equalities are considered. An algebraic variable is a linear variable of an equation if it
+    enters with a constant coefficient. An equation with a single linear variable defines this
+    variable. A defined variable no longer counts as a linear variable, so that further equations
+    may have a single linear variable. The search ends when no equation has a single linear
+    variable.
 
-    For example, ``k == exp(-1 / x)`` defines k, but not x, which enters nonlinearly. If y is a
-    state, ``p - q == y`` has the linear variables p and q. This equation defines p once another
-    equation defines q.
+    For example, ``k == exp(-1 / x)`` defines k. It does not define x, which enters nonlinearly. If
+    y is a state, ``p - q == y`` has two linear variables, p and q. This equation defines p once
+    another equation defines q.
 
     Parameters
     ----------
@@ -99,8 +99,8 @@ def with_defined(
     """Compute the algebraic variables that equations define, at several points.
 
     The defining equations may depend on each other, and are solved by repeated substitution. The
-    substitution fails if the largest residual of the equations does not fall below a millionth of
-    its initial value. Circular dependencies may cause such a failure.
+    substitution fails if the largest residual of the equations stays above a millionth of its
+    initial value, for example because of circular dependencies.
 
     Parameters
     ----------

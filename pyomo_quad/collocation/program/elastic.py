@@ -1,14 +1,13 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-Slacks are unknowns that permit a violation. There are two kinds of elastic programs.
+Slacks are unknowns that permit a violation. There are two kinds of elastic programs:
 
-One kind keeps the objective, and has slacks in the equations over time. The penalty keeps the
-violations of these equations small at the optimum of the elastic program. This optimum then serves
-as the initial point for a solve of the original program, without slacks.
-
-The other kind has slacks in every constraint, and minimises the sum of violations instead of the
-objective. The problem is reported as infeasible if the least sum is positive. In this case, no
-point near the optimum satisfies all constraints and all bounds of the unknowns.
+- One kind keeps the objective, and has slacks in the equations over time. The penalty keeps the
+  violations of these equations small at the optimum. This optimum then serves as the initial point
+  for a solve of the original program.
+- The other kind has slacks in every constraint, and minimises the sum of violations instead of the
+  objective. If the least sum is positive, the problem is reported as infeasible: no point near the
+  optimum satisfies all constraints and all bounds of the unknowns.
 """
 
 from __future__ import annotations
@@ -53,8 +52,8 @@ def _with_slacks(
     """Return an elastic program: a copy of a program with penalised slacks in some constraints.
 
     Each chosen constraint has two non-negative slacks, which are added unknowns. One slack
-    increases the value of the constraint, and so permits a violation of the lower bound. The other
-    slack decreases the value, and so permits a violation of the upper bound.
+    increases the value of the constraint, and so permits a value below the lower bound. The other
+    slack decreases the value, and so permits a value above the upper bound.
 
     Parameters
     ----------
@@ -130,10 +129,10 @@ def _solved(
 
 
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
-    """Return a program whose equations over time may be violated by slacks at a penalty.
+    """Return an elastic program, whose equations over time may be violated at a penalty.
 
     The penalty per unit of slack is proportional to the quadrature weight of the collocation point.
-    On every mesh, the sum of all penalties therefore approximates an integral over the horizon.
+    On every mesh, the sum of the penalties therefore approximates an integral over the horizon.
 
     Parameters
     ----------
@@ -143,7 +142,7 @@ def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedP
         Scaling of the original program. One unit of slack changes the value of an equation by the
         inverse of the equation's scaling factor.
     z : ndarray, shape (n_unknowns,)
-        Unknowns of the original program. Only their number matters, not their values.
+        Unknowns of the original program. Only the number of unknowns is used.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
@@ -161,7 +160,7 @@ def elastic_point(
     options: SolverOptions,
     progress: Progress | None,
 ) -> FloatArray:
-    """Return the unknowns at the optimum of an elastic program, as an initial point of a solve.
+    """Return the unknowns at the optimum of an elastic program, as an initial point.
 
     In the elastic program, the equations over time may be violated at a penalty. The result lies
     within the bounds, and has the shape (n_unknowns,).
@@ -185,7 +184,8 @@ def elastic_point(
 class LeastViolation:
     """Point of least constraint violation: optimum of the elastic program without the objective.
 
-    In the elastic program, slacks permit violations of all constraints at a penalty.
+    In this elastic program, slacks permit violations of all constraints. The sum of the slacks is
+    minimised.
 
     Attributes
     ----------
@@ -234,9 +234,10 @@ def least_violation(
     by a slack, measured in units of the constraint's scale. The penalty per unit of slack is the
     same for every constraint.
 
-    Ipopt's barrier leaves a small slack even in a constraint that can be satisfied. With equal
-    penalties, this small slack is about the same in all such constraints. On every mesh, it is far
-    below the threshold at which a constraint counts as violated.
+    Equal penalties have an advantage. Ipopt's barrier leaves a small slack even in a constraint
+    that can be satisfied. With equal penalties, this slack is about the same in all such
+    constraints. On every mesh, it is far below the threshold above which a constraint counts as
+    violated.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Ipopt through cyipopt: settings, callbacks, progress, and the best iterate of a failed solve.
 
-Ipopt's barrier leaves a complementarity gap at the solution: the sum of multipliers times slacks of
-all inequalities. For the effect of the gap on the objective, see docs/theory/refinement.md,
-eq. (16).
+Ipopt's barrier leaves a complementarity gap at the solution. The gap is the sum of multiplier times
+slack over all inequalities. For the effect of the gap on the objective, see
+docs/theory/refinement.md, eq. (16).
 """
 
 from __future__ import annotations
@@ -34,10 +34,12 @@ if TYPE_CHECKING:
 class Status(Enum):
     """Outcome of a solve.
 
-    `CONVERGED`: Ipopt converged, and so did the mesh refinement, if any. `TOLERANCE_NOT_MET`: Ipopt
-    converged on the last mesh, but the mesh refinement did not reach its tolerance. `INFEASIBLE`:
-    the constraints appear to have no solution. `INTERRUPTED`: a time limit or the user stopped the
-    solve. `NOT_CONVERGED`: any other failure, for example at the limit of iterations.
+    - `CONVERGED`: Ipopt converged, and so did the mesh refinement, if any.
+    - `TOLERANCE_NOT_MET`: Ipopt converged on the last mesh, but the mesh refinement did not reach
+      its tolerance.
+    - `INFEASIBLE`: the constraints appear to have no solution.
+    - `INTERRUPTED`: a time limit or the user stopped the solve.
+    - `NOT_CONVERGED`: any other failure, for example at the limit of iterations.
     """
 
     CONVERGED = "converged"
@@ -48,12 +50,15 @@ class Status(Enum):
 
     @property
     def is_solved(self) -> bool:
-        """Whether Ipopt converged on the last mesh, whether or not the mesh is fine enough."""
+        """Whether Ipopt converged on the last mesh (`CONVERGED` or `TOLERANCE_NOT_MET`)."""
         return self in (Status.CONVERGED, Status.TOLERANCE_NOT_MET)
 
     @property
     def has_failed(self) -> bool:
-        """Whether Ipopt failed or reported infeasibility; a poor guess may cause either outcome."""
+        """Whether Ipopt failed or reported infeasibility (`NOT_CONVERGED` or `INFEASIBLE`).
+
+        A poor initial guess may cause either outcome.
+        """
         return self in (Status.NOT_CONVERGED, Status.INFEASIBLE)
 
 
@@ -93,10 +98,13 @@ _PUSHES = (
 class StartDistance(Enum):
     """Expected distance of a warm start from the point at which the solve ends.
 
-    The end point lies on the central path: the curve of optima for positive barrier parameters. The
-    method `SolverOptions.on_central_path` chooses Ipopt's settings according to this distance.
-    `NONE`: the start practically coincides with the end point. `SHORT`: the start is near the end
-    point. `FAR`: the start is far from the end point.
+    The end point lies on the central path: the curve of the barrier problem's optima for all
+    positive barrier parameters. The method `SolverOptions.on_central_path` chooses Ipopt's settings
+    according to the distance:
+
+    - `NONE`: the start practically coincides with the end point.
+    - `SHORT`: the start is near the end point.
+    - `FAR`: the start is far from the end point.
     """
 
     NONE = "none"
@@ -111,16 +119,16 @@ class SolverOptions:
     Attributes
     ----------
     tolerance : float, optional
-        Ipopt's option `tol`, for the scaled problem; derived from the tolerance of the mesh
-        refinement by default.
+        Ipopt's option `tol`, for the scaled problem. By default it is derived from the tolerance of
+        the mesh refinement.
     max_iterations : int
         Limit of iterations on each mesh.
     max_wall_s : float, optional
         Wall-clock time limit for all meshes together [s].
     extra : tuple of (str, value)
-        Any further options of Ipopt, by name.
+        Further options of Ipopt, as (name, value).
     cold : tuple of (str, value)
-        Further options of solves without a warm start, by name.
+        Further options of Ipopt for solves without a warm start, as (name, value).
     """
 
     tolerance: float | None = None
@@ -132,8 +140,9 @@ class SolverOptions:
     def suiting(self, tolerance: float) -> SolverOptions:
         """Return settings whose Ipopt tolerance suits the tolerance of the mesh refinement.
 
-        The tolerance of Ipopt (its option `tol`) is set well below that of the mesh refinement. If
-        the caller has already set Ipopt's tolerance, the settings are returned unchanged.
+        Ipopt's tolerance (its option `tol`) is set to 1e-3 times the tolerance of the mesh
+        refinement, but not below 1e-11 or above 1e-9. If the caller has already set Ipopt's
+        tolerance, the settings are returned unchanged.
 
         Parameters
         ----------
@@ -147,7 +156,7 @@ class SolverOptions:
     def at_most(self, iterations: float) -> SolverOptions:
         """Return the settings with a limit of iterations that is at most the given limit.
 
-        If the settings already have a lower limit, the lower limit remains.
+        The new limit is the lower of two: the limit in these settings, and the given limit.
 
         Parameters
         ----------
@@ -159,12 +168,13 @@ class SolverOptions:
     def for_phases(self) -> SolverOptions:
         """Return the settings for models whose equations hold a variable at a bound for some time.
 
-        One example is an equation that prescribes full thrust of an engine, whose thrust is
-        bounded. Another example is a tank that stays empty, with a bound that forbids a negative
-        content. The equation and the bound together leave the feasible set without an interior, so
-        the multipliers diverge. A warm start from diverged multipliers is slower than a solve from
-        the guess. With these settings, Ipopt relaxes all bounds slightly, so that the feasible set
-        has an interior. At the end, Ipopt projects the solution back onto the original bounds.
+        For example, an equation prescribes full thrust, which is also the upper bound of the
+        thrust. Or an equation keeps a tank empty, and the content of the tank has the lower bound
+        zero. Equation and bound together leave the feasible set without an interior. The
+        multipliers then diverge, and a warm start from them is slower than a solve from the guess.
+
+        With these settings, Ipopt relaxes all bounds slightly, so that the feasible set has an
+        interior. At the end, Ipopt projects the solution back onto the original bounds.
         """
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
@@ -172,27 +182,28 @@ class SolverOptions:
     def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        The central path is the curve of optima for positive barrier parameters. A given positive
-        parameter selects one point of this curve. The controls at the selected point differ little
-        from mesh to mesh. In contrast, the controls of the optimum may differ greatly from mesh to
-        mesh, if many trajectories have nearly the same cost.
+        The central path is the curve of the barrier problem's optima for all positive barrier
+        parameters. Each barrier parameter gives one point of the curve. Ipopt stops at the point
+        for the given parameter. This is useful if many trajectories have nearly the same cost. The
+        controls of the exact optimum may then differ greatly from mesh to mesh. The controls at the
+        given point of the central path differ little.
 
-        The settings depend on the expected distance of the start from the selected point:
+        The settings depend on the expected distance of the start from the given point:
 
-        - The start practically coincides with the point (`NONE`). The settings leave variables on
-          their bounds if they start there.
-        - The start is near the point (`SHORT`). The settings do not change by how much Ipopt moves
-          the start inside the bounds.
-        - The start is far from the point (`FAR`). With the settings, Ipopt first moves the start
-          inside the bounds, and begins with a larger barrier parameter. Otherwise, bounds that
-          become active or inactive would shorten nearly every step.
+        - `NONE`: the start practically coincides with the point. Variables that start on their
+          bounds practically stay there.
+        - `SHORT`: the start is near the point. Ipopt moves the start inside the bounds by its usual
+          distance.
+        - `FAR`: the start is far from the point. Ipopt first moves the start inside the bounds, and
+          begins with a larger barrier parameter. Otherwise, bounds that become active or inactive
+          would shorten nearly every step.
 
         Parameters
         ----------
         parameter : float
             Final barrier parameter (Ipopt's `mu_target`), for the scaled objective.
         distance : StartDistance
-            Expected distance of the start from the selected point.
+            Expected distance of the start from the given point.
         """
         begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
         if distance is StartDistance.NONE:
@@ -206,21 +217,21 @@ class SolverOptions:
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start with a given expected change of the objective.
 
-        The barrier leaves an error in the objective, called the gap: the barrier parameter times
-        the number of inequality bounds. The settings choose the initial barrier parameter for which
-        this gap equals the expected change. With a larger initial parameter, the iterates would
-        first move away from the warm start and then return. The initial parameter is never larger
-        than in other warm starts.
+        The settings choose Ipopt's initial barrier parameter. The barrier changes the objective by
+        about the barrier parameter times the number of inequality bounds; this product is called
+        the gap.
 
-        If the expected change is very small, this choice would give an initial parameter below ten
-        times Ipopt's tolerance. Ipopt would keep such a parameter until the end of the solve,
-        instead of reducing it. The final gap would then depend on the expected change, and would
-        differ from mesh to mesh. In this case the settings therefore use an initial parameter that
-        depends on the tolerance alone.
+        - Usually, the initial parameter is ``change / sides``. The gap then equals the expected
+          change. With a larger parameter, the iterates would first move away from the warm start
+          and then return. The initial parameter is never larger than in other warm starts.
+        - If ``change / sides`` is below ten times Ipopt's tolerance, a smaller value is used, which
+          depends on the tolerance alone. Ipopt would otherwise keep ``change / sides`` as its
+          barrier parameter until the end of the solve. The final gap would then vary from mesh to
+          mesh.
 
         For a large expected change, the settings also move the start well inside the bounds. A
-        large change of the objective shifts the times at which bounds become active. From a start
-        on the bounds, Ipopt would then take many short steps.
+        large change of the objective shifts the times at which bounds become active. If the start
+        were on the bounds, Ipopt would take many short steps.
 
         Parameters
         ----------
@@ -240,10 +251,10 @@ class SolverOptions:
     def for_moving_limits(self) -> SolverOptions:
         """Return the settings for warm starts after which limits may become active at other times.
 
-        A limit is a bound of a variable or constraint. On a new mesh, a limit may become active at
-        a slightly different collocation point. If the start lies on its bounds, these bounds then
-        block Ipopt's first dozen steps. The settings therefore move the start slightly inside the
-        bounds.
+        A limit is a bound of a variable or constraint. From mesh to mesh, the time at which a limit
+        becomes active may change slightly. If the start lies on its bounds, these bounds then
+        shorten the first dozen steps of Ipopt. The settings therefore move the start slightly
+        inside the bounds.
         """
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
@@ -253,9 +264,8 @@ class SolverOptions:
 
         A limit is a bound of a variable or constraint. The start is the solution of an earlier
         problem, and violates limits of the new problem. With these settings, Ipopt moves the start
-        well inside the new limits, and begins with a larger barrier parameter than in other warm
-        starts. The solve then takes fewer iterations to leave the limits that were active in the
-        earlier problem.
+        well inside the new limits. It also begins with a larger barrier parameter than in other
+        warm starts. It then needs fewer iterations to leave the limits that were active before.
         """
         pushes = dict.fromkeys(_PUSHES, _FAR_INSIDE) | {"warm_start_mult_bound_push": _BEGUN_FAR}
         return replace(self, extra=(*self.extra, ("mu_init", _BEGUN_FAR), *pushes.items()))
@@ -264,8 +274,8 @@ class SolverOptions:
         """Return the settings for a solve whose first point violates many inequalities.
 
         The settings apply to solves without a warm start. By default, Ipopt chooses the barrier
-        parameter adaptively, and estimates its first value from the first point. If that point
-        violates many inequalities, the estimate is often a thousand times too small, and the bounds
+        parameter adaptively, and estimates its first value from the first point. If the first point
+        violates many inequalities, the estimate is often a thousand times too small. The bounds
         then shorten nearly every step of Ipopt; see docs/decisions/speed.md. With these settings,
         the barrier parameter begins at 0.1 and only decreases.
         """
@@ -274,14 +284,15 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
 
-        The start is the solution on the previous mesh. The new mesh differs from the previous mesh
-        in few elements, so the start is nearly optimal. With the usual initial barrier parameter of
-        a warm start, the iterates would first move away from the start. With the smaller barrier
-        parameter of these settings, controls that hardly affect the objective stay near their
-        values on the previous mesh. The settings also move the start inside its bounds.
+        The start is the solution on the previous mesh. Only a few elements of the new mesh are
+        different, so the start is nearly optimal. The settings choose a smaller initial barrier
+        parameter than in other warm starts, so that the iterates stay near the start. This matters
+        for controls that hardly affect the objective: with a larger parameter, they would drift
+        away from their values on the previous mesh. The settings also move the start inside its
+        bounds.
 
-        The barrier parameter was tested on a flight of 1 km against the wind, with a mesh that was
-        refined to five times as many points.
+        The value of the barrier parameter was tested on a flight of 1 km against the wind. The mesh
+        of the test was refined to five times as many points.
         """
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
@@ -298,7 +309,8 @@ class Iteration:
     objective : float
         Objective of the Pyomo model, not negated if it is maximised.
     infeasibility, dual_infeasibility : float
-        Largest violation of the scaled constraints, and of the scaled stationarity conditions.
+        Largest violation of the scaled constraints, and of the scaled stationarity conditions
+        (gradient of the Lagrangian equal to zero).
     barrier : float
         Barrier parameter.
     elapsed_s : float
@@ -328,11 +340,11 @@ class Effort:
     progress : callable or None
         The caller's own callback, which is called at each iteration within the limits.
     limits : (float, float)
-        Iterations allowed in the first solve, and in all solves together.
+        Numbers of iterations allowed in the first solve, and in all solves together.
     limit_s : float
         Wall-clock time allowed [s], counted from construction.
     first, count : int
-        Iterations used in the first solve, and in all solves.
+        Numbers of iterations used in the first solve, and in all solves together.
     solves : int
         Number of solves so far.
     is_over : bool
@@ -418,8 +430,8 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    A later iterate replaces the best iterate only if the later iterate's constraint violation is at
-    most a tenth as large.
+    A later iterate replaces the best iterate if its constraint violation is at most a tenth of the
+    violation of the best iterate.
 
     Ipopt cannot propagate an exception from a callback. The exception is therefore stored in
     `error`, and raised again after Ipopt returns.
@@ -432,8 +444,8 @@ class _Callbacks:
     sign : float
         -1 if the Pyomo model maximises its objective, else 1.
     floor : float
-        Very low value of the objective. The problem appears unbounded if the objective remains
-        below this value for several iterations.
+        Very low value of the objective. If the objective stays below it for several iterations, the
+        problem counts as unbounded.
     below : int
         Number of the latest consecutive iterations with an objective below `floor`.
     history : list of Iteration
@@ -461,8 +473,8 @@ class _Callbacks:
     def is_bottomless(self) -> bool:
         """Whether the problem appears to be unbounded.
 
-        A problem appears to be unbounded if the objective to minimise was below the attribute
-        `floor`, a very low value, in each of the latest few iterations.
+        This is the case if the objective was below the attribute `floor` in each of the latest five
+        iterations.
         """
         return self.below >= _PATIENCE_BELOW
 
@@ -547,11 +559,14 @@ class _Callbacks:
     ) -> bool:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
-        Ipopt calls this method at each iteration. The new iterate replaces the best iterate if the
-        new iterate's constraint violation is at most a tenth as large.
+        Ipopt calls this method at each iteration. The new iterate replaces the best iterate if its
+        constraint violation is at most a tenth of the violation of the best iterate.
 
-        Ipopt stops after an exception in a callback. It also stops if the caller's callback
-        returns False, or if the problem appears to be unbounded.
+        The result is False if one of these holds:
+
+        - a callback raised an exception;
+        - the caller's callback returns False;
+        - the problem appears to be unbounded.
 
         Parameters
         ----------
@@ -677,7 +692,7 @@ def run(
     Raises
     ------
     Exception
-        Any exception raised in a callback, after Ipopt has returned.
+        The first exception that a callback raised. It is raised after Ipopt has returned.
     """
     idle = bounds.surplus + 1
     if idle > 0:
@@ -722,14 +737,17 @@ def _with_idle_unknowns(
 ) -> ExtendedProgram:
     """Return a program with added unknowns, so that Ipopt does not treat it as a square system.
 
-    If there are as many equations as free unknowns, Ipopt ignores the objective, and stops at the
-    first point that satisfies the equations. If there are more equations than free unknowns, Ipopt
-    refuses the program. Both reactions are wrong if some equations follow from others, because many
-    points may then satisfy the equations. An example is an end condition on a conserved quantity.
+    Ipopt counts equations and free unknowns. If the numbers are equal, Ipopt ignores the objective,
+    and stops at the first point that satisfies the equations. If there are more equations than free
+    unknowns, Ipopt refuses the program.
 
-    With the added unknowns, there are more free unknowns than equations. Each added unknown appears
-    as a square in the objective and in no equation. Its optimal value is therefore zero, and the
-    optimal values of the original unknowns are unchanged.
+    Neither reaction is right if some equations are redundant. Many points may then satisfy the
+    equations, and the objective selects the best of them. An example of a redundant equation is an
+    end condition on a conserved quantity.
+
+    With the added unknowns, there are more free unknowns than equations. The square of each added
+    unknown is a term of the objective, and no equation contains the added unknown. Its optimal
+    value is therefore zero, and the optimal values of the original unknowns are unchanged.
 
     Parameters
     ----------
@@ -753,11 +771,11 @@ def _with_idle_unknowns(
 def barrier_gap(
     program: NonlinearProgram, bounds: Bounds, z: FloatArray, multipliers: Multipliers
 ) -> float:
-    """Return the complementarity gap: the sum of multipliers times slacks of all inequalities.
+    """Return the complementarity gap: the sum of multiplier times slack over all inequalities.
 
-    The inequalities are all finite bounds of the unknowns and constraints. The slack of an
-    inequality is the distance from its bound at the unknowns `z`. The gap is in the unit of the
-    objective. For a convex program, the objective at `z` exceeds the optimum by at most the gap.
+    There is one inequality for each finite bound of an unknown or constraint. Its slack is the
+    distance from the bound at the unknowns `z`. The gap is in the unit of the objective. For a
+    convex program, the objective at `z` exceeds the optimum by at most the gap.
     """
     rows, pull = program.constraints(z), multipliers.rows
     parts = (
@@ -782,11 +800,11 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    The gap is the sum of multipliers times slacks of all inequalities; the function `barrier_gap`
-    computes it. Ipopt stops when gap and gradients are small in units of the scaled objective. If
-    the objective is steep at the initial point, its scaling factor is very small. The gap may then
-    exceed the objective itself. The solve is therefore repeated with a larger factor, until the gap
-    is a small fraction of the objective. There are at most two repetitions.
+    The gap is the sum of multiplier times slack over all inequalities (see `barrier_gap`). Ipopt
+    tests its convergence on the scaled objective. If the objective is steep at the initial point,
+    its scaling factor is very small. Ipopt may then stop at a gap that exceeds the objective
+    itself. The solve is therefore repeated with a larger factor, until the gap is a small fraction
+    of the objective. There are at most two repetitions.
 
     Parameters
     ----------
@@ -794,7 +812,7 @@ def run_past_the_barrier(
         The nonlinear program with the bounds of its unknowns and constraints, its scaling factors,
         and the initial point.
     size : callable
-        Unknowns -> magnitude of the objective, as the sum of the magnitudes of its parts.
+        Unknowns -> magnitude of the objective, for example `Transcription.objective_size`.
     options : SolverOptions
     multipliers : Multipliers, optional
         Initial multipliers of a warm start.
@@ -864,8 +882,9 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    After a failed solve, the result holds the recorded iterate with the least constraint violation.
-    If the iterates diverged, it holds `z` instead.
+    After a successful solve, the unknowns of the result are `z`. After a failed solve, they are the
+    recorded iterate with the least constraint violation. If the iterates diverged, they are `z`
+    again.
 
     Parameters
     ----------

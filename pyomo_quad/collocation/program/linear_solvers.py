@@ -1,6 +1,7 @@
 """Check that Ipopt can load the linear solver that its options name.
 
-Without this check, an absent solver would make the solve fail, or end the whole process.
+If Ipopt cannot load the solver, the solve fails or the whole process ends. The check finds this
+before the solve, and raises an error that names the solver.
 """
 
 from __future__ import annotations
@@ -68,8 +69,8 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
 def _is_loaded(options: str) -> bool:
     """Return whether Ipopt solves a small problem with the given options, in a separate process.
 
-    A solve shows that Ipopt can load the linear solver in the options. `options` is a JSON text of
-    option names and values.
+    Ipopt solves the problem only if it can load the linear solver that the options name. `options`
+    is a JSON text of option names and values.
     """
     try:
         probe = subprocess.run(  # noqa: S603  our own interpreter and program

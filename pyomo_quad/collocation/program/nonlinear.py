@@ -6,8 +6,8 @@ four purposes:
 - penalised slacks in the constraints (elastic programs);
 - bounds between the collocation points;
 - a quadratic cost that keeps controls near given values (damping);
-- idle unknowns, which have no effect on the optimum. Without idle unknowns, Ipopt would ignore the
-  objective of a program that has as many equations as unknowns.
+- idle unknowns, which leave the optimum unchanged. They are added to a program with as many
+  equations as unknowns, because Ipopt would ignore the objective of such a program.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ class Bounds:
     lower, upper : ndarray, shape (n,)
         Bounds of the unknowns.
     row_lower, row_upper : ndarray, shape (m,)
-        Bounds of the constraints: equal for an equation, infinite where a constraint has no bound.
+        Lower and upper bounds of the constraints. They are equal for an equation. An absent bound
+        is infinite.
     """
 
     lower: FloatArray
@@ -79,8 +80,8 @@ class Bounds:
     ) -> Bounds:
         """Return these bounds, followed by bounds of additional unknowns and constraints ("rows").
 
-        `unknowns` and `rows` are pairs of arrays: the lower bounds and the upper bounds of the
-        additional unknowns, and of the additional constraints.
+        `unknowns` has the bounds of the additional unknowns, and `rows` those of the additional
+        constraints. Both are pairs of arrays: lower bounds, upper bounds.
         """
         return Bounds(
             lower=np.append(self.lower, unknowns[0]),
@@ -230,12 +231,12 @@ def _no_columns() -> NDArray[np.intp]:
 class ExtendedProgram:
     """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
 
-    The unknowns are w = (z, s): the n unknowns z of the original program, and n_more further
-    unknowns s. The extended program minimises
-    ``share f(z) + prices . s + weights / 2 . (w[columns] - near)**2``. The original program has
-    n_rows constraints c(z). The extended program has n_more_rows further, linear constraints. The
-    values of all constraints are ``(c(z), 0) + terms @ w``, with zeros in place of the further
-    constraints.
+    The original program has n unknowns z, n_rows constraints c(z) and the objective f(z). The
+    extended program has n_more further unknowns s, and n_more_rows further constraints, which are
+    linear. Its unknowns are w = (z, s), z first.
+
+    - Objective: ``share * f(z) + prices @ s + sum(weights / 2 * (w[columns] - near)**2)``.
+    - Constraints: ``c(z)``, extended by n_more_rows zeros, plus ``terms @ w``.
 
     Attributes
     ----------
@@ -276,7 +277,7 @@ class ExtendedProgram:
     def is_negated(self) -> bool:
         """Whether the Pyomo model maximises its objective, so that the negative is minimised.
 
-        The value is False if the extended program leaves the original objective out (`share` is 0).
+        If `share` is 0, the original objective is left out, and the value is False.
         """
         return bool(self.share and self.program.is_negated)
 

@@ -5,9 +5,9 @@ condition. A condition is redundant if it follows from the other equations. For 
 quantity is conserved, an end condition on this quantity follows from the initial conditions and the
 equations over time.
 
-On a mesh, the end condition follows only up to the discretisation error. A program that imposes the
-redundant end condition may therefore have no solution. Or it may have a single solution, with
-unbounded multipliers, while the problem without the end condition has many solutions.
+On a mesh, the redundant condition follows from the other equations only up to the discretisation
+error. A program that imposes the condition may therefore have no solution. Or the condition may
+exclude all solutions but one, and its multiplier may be unbounded.
 """
 
 from __future__ import annotations
@@ -54,12 +54,11 @@ class Candidate:
     name : str
         Name of the condition, or of the fixed variable and its time.
     key : str or (str, float)
-        Key by which a solve leaves the condition out. The key of a constraint is its name. The key
-        of a fixed value is the pair (variable name, fraction of the horizon).
+        Key of the condition in the list of conditions to leave out. The key of a constraint is its
+        name. The key of a fixed value is (variable name, fraction of the horizon).
     row, column : int
-        For a condition that is a constraint, `row` is the index of the constraint in the program
-        and `column` is -1. For a condition that fixes an unknown, `row` is -1 and `column` is the
-        index of the unknown.
+        Index of the condition in the program: `row` if it is a constraint, `column` if it fixes an
+        unknown. The attribute that does not apply is -1.
     """
 
     name: str
@@ -74,8 +73,8 @@ def _candidates(
     """Yield the equality conditions that may turn out to be redundant, in a fixed order.
 
     A condition is a constraint at declared times (members of the continuous set), or a value fixed
-    at a declared time. A condition that fixes a single state at the start of the horizon is never
-    left out of a solve, and therefore not yielded.
+    at a declared time. A condition that fixes a single state at the start of the horizon is always
+    kept in the solve. Such conditions are not yielded.
 
     Parameters
     ----------
@@ -116,8 +115,8 @@ def redundant_conditions(
 
     A condition is a constraint at declared times (members of the continuous set), or a value fixed
     at a declared time. The conditions are tested one after the other. A condition counts as
-    redundant if its gradient depends linearly on the gradients of all equations over time and of
-    the conditions tested before it.
+    redundant if its gradient is a linear combination of other gradients: those of the equations
+    over time, and those of the conditions tested before it.
 
     Parameters
     ----------
@@ -201,8 +200,8 @@ def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[F
     """Return the part of each vector that is orthogonal to the gradients of all equations.
 
     `equations` is a sparse matrix with the gradient of one equation per row. `vectors` are the
-    gradients of conditions. If the orthogonal part is small, the condition follows from the
-    equations (is redundant).
+    gradients of conditions. If the orthogonal part of a gradient is nearly zero, the condition is
+    redundant: it follows from the equations.
     """
     m, n = equations.shape
     system = block_array(

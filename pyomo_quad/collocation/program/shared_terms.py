@@ -2,16 +2,16 @@
 
 CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
 than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
-last bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table,
-which takes a second for a table of a million numbers.
+last bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table.
+This takes a second for a table of a million numbers.
 
 The module therefore proceeds in three steps. First, symbols replace the calls in the expressions.
 Then the expressions are differentiated, and equal terms are merged. Finally, the calls replace the
 symbols again.
 
-The differentiation treats the symbols as constants, and this is correct. Each symbol stands for a
-result of a call: a coefficient of a Taylor polynomial. These coefficients count as constants in all
-derivatives. See `collocation.reading.local_splines`, which creates the calls.
+The differentiation may treat the symbols as constants. Each symbol stands for a coefficient of a
+Taylor polynomial, which is a result of a call. These coefficients are defined to be constant in all
+derivatives: see `collocation.reading.local_splines`, which creates the calls.
 """
 
 from __future__ import annotations

@@ -125,9 +125,9 @@ class Layout:
     def slope_matrix(self) -> csr_matrix:
         """Differentiation matrix from a state at the nodes to its rate at the collocation points.
 
-        The rate is the derivative with respect to the fraction of the horizon. The nodes are the
-        start of the horizon and the collocation points. The matrix is sparse and has the shape
-        (n_points, n_points + 1).
+        The rate of a state is its derivative with respect to the fraction of the horizon. The nodes
+        are the start of the horizon and the collocation points. The matrix is sparse and has the
+        shape (n_points, n_points + 1).
         """
         if self.mesh is None:
             return csr_matrix((0, 1))
@@ -145,12 +145,12 @@ class Layout:
 
     @cached_property
     def path_variables(self) -> csr_matrix:
-        """Matrix from the unknowns to rates, states, algebraic and static variables at the points.
+        """Matrix that maps the unknowns to the variables of all collocation points.
 
-        The points are the collocation points. Rates are derivatives of the states with respect to
-        the fraction of the horizon; static variables do not depend on time. The shape is (n_points
-        * n_variables, n_unknowns): the rows of the first point come first, then the rows of the
-        second point, and so on.
+        The variables of a point are rates, states, algebraic variables and static variables, in
+        this order. Rates are derivatives of the states with respect to the fraction of the horizon.
+        Static variables do not depend on time. The shape is (n_points * n_variables, n_unknowns):
+        the rows of the first point come first, then the rows of the second point, and so on.
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -167,7 +167,7 @@ class Layout:
 
     @cached_property
     def condition_variables(self) -> csr_matrix:
-        """Matrix from the unknowns to the values at declared times and the static variables.
+        """Matrix that maps the unknowns to values at declared times and to the static variables.
 
         Declared times are members of the continuous set. The values are those that appear in the
         objective or in conditions (constraints at declared times). Static variables do not depend
@@ -178,11 +178,11 @@ class Layout:
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix from the unknowns to the values at declared times in conditions and objective.
+        """Matrix that maps the unknowns to values at declared times in conditions and objective.
 
-        Declared times are members of the continuous set; conditions are constraints at these times.
-        The matrix has one row per value, and one column per unknown. A value at a time between
-        nodes is interpolated: its row has one weight per node of the element.
+        Declared times are members of the continuous set. Conditions are constraints at these times.
+        The matrix has one row per value, and one column per unknown. If a declared time lies
+        between nodes, the value is interpolated: its row has one weight per node of the element.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -281,13 +281,13 @@ class Contributions:
     ) -> None:
         """Add derivatives with respect to variables that are linear combinations of the unknowns.
 
-        By the chain rule, a derivative with respect to a variable contributes to the columns of all
-        unknowns in the linear combination.
+        By the chain rule, a derivative with respect to a variable contributes to several columns:
+        those of the unknowns in the linear combination.
 
         Parameters
         ----------
         variables : csr_matrix, shape (n_variables, n_unknowns)
-            Matrix from the unknowns to the variables.
+            Matrix that maps the unknowns to the variables.
         rows : ndarray of int
             Row of each derivative in the assembled matrix.
         of : ndarray of int
@@ -310,7 +310,7 @@ class Contributions:
         Parameters
         ----------
         variables : csr_matrix, shape (n_variables, n_unknowns)
-            Matrix from the unknowns to the variables.
+            Matrix that maps the unknowns to the variables.
         first, second : ndarray of int
             Indices of the two variables of each second derivative.
         sources : ndarray of int
@@ -318,17 +318,14 @@ class Contributions:
 
         Notes
         -----
-        By the chain rule, a second derivative with respect to variables i and j is multiplied by
-        the outer product of the rows i and j of the matrix `variables`. The outer product has an
-        entry for each pair of unknowns (a, b). Only the lower triangle of the Hessian with respect
-        to the unknowns is assembled. In this triangle, (a, b) and (b, a) share one entry.
+        Let h be the second derivative with respect to the variables i and j, and let v_i and v_j be
+        the rows i and j of `variables`. By the chain rule, the Hessian with respect to the unknowns
+        contains the matrix ``h * outer(v_i, v_j)``. Only the lower triangle is assembled.
 
-        - If i equals j, the outer product is symmetric. Its entry for (a, b) is added to the shared
-          entry, and its equal entry for (b, a) is dropped.
-        - If i and j differ, the second derivative is given for (i, j), but not for (j, i). The
-          outer product for (j, i) is the transpose of the outer product for (i, j). The Hessian has
-          the sum of both. Therefore the entries for (a, b) and (b, a) are both added to the shared
-          entry, and an entry for (a, a) is doubled.
+        - If i equals j, the matrix is symmetric. Its lower triangle is added.
+        - If i and j differ, the pair (j, i) is not given separately. The Hessian contains the
+          matrix plus its transpose. Each entry of the matrix above the diagonal is therefore added
+          at its mirrored position below the diagonal, and the entries on the diagonal are doubled.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -394,8 +391,8 @@ class JacobianScatter:
     The sources are in a fixed order: first the derivatives of path equations and integrands, then
     the derivatives of conditions (constraints at declared times) and objective.
 
-    A direct integral is an integral that enters the objective directly: no static variable
-    (variable without time) stands for it.
+    A direct integral is an integral that appears in the objective itself. Other integrals are
+    represented there by a static variable (variable without time).
 
     Attributes
     ----------
@@ -433,10 +430,9 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return derivatives of the objective with respect to integrals that enter it directly.
 
-        An integral enters the objective directly if no static variable (variable without time)
-        stands for it. `point_sources` are the values that CasADi returned for the derivatives of
-        conditions (constraints at declared times) and objective. The result has the shape
-        (n_integrals,).
+        Other integrals are represented in the objective by a static variable (variable without
+        time). `point_sources` are the values that CasADi returned for the derivatives of conditions
+        (constraints at declared times) and objective. The result has the shape (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
@@ -452,8 +448,8 @@ class JacobianScatter:
             integrands, then those of conditions (constraints at declared times) and objective. The
             last entry is a constant 1, which only the Jacobian of the constraints uses.
         slopes : ndarray, shape (n_integrals,)
-            Derivatives of the objective with respect to the integrals that enter it directly. No
-            static variable (variable without time) stands for such an integral.
+            Derivatives of the objective with respect to the integrals that enter it directly.
+            Integrals that a static variable (variable without time) represents are left out.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -470,8 +466,9 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
     - the nonzeros of the Jacobian of path equations and integrands, point by point;
     - the nonzeros of the Jacobian of conditions (constraints at declared times) and objective;
-    - a 1. This is the derivative, with respect to a static variable (variable without time), of the
-      constraint that makes the static variable equal to an integral.
+    - the number 1. It is the derivative of the constraint ``variable - integral = 0`` with respect
+      to the variable. Such a constraint makes a static variable (variable without time) equal to an
+      integral.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)

@@ -38,9 +38,8 @@ class Place:
     name : str
         Full name of the equation or variable.
     time : float, optional
-        Physical time. If start or end of the horizon is a variable, the fraction of the horizon
-        instead. None for a variable without time, and for a constraint that is not imposed at each
-        collocation point.
+        Physical time, or the fraction of the horizon if start or end of the horizon is a variable.
+        None for a variable without time, and for a constraint that is imposed only once.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in the element, from 1.
     """
@@ -81,7 +80,8 @@ def row_place(program: Transcription, row: int) -> Place:
     """Return name, time, element and collocation point of the constraint with the index `row`.
 
     `program` is the nonlinear program to which the constraint belongs. Time, element and point are
-    None for a constraint that is not imposed at each collocation point.
+    known for path equations, which are imposed at each collocation point. They are None for all
+    other constraints.
     """
     compiled = program.compiled
     declared = compiled.declared
@@ -146,10 +146,11 @@ class Data:
 class Transcription:
     """Nonlinear program of a model on one mesh, with derivatives, in the form Ipopt requires.
 
-    The order of the constraints ("rows") is: path equations (equalities and inequalities over time)
-    point by point, then conditions (constraints at declared times, the members of the continuous
-    set), then the constraints that make static variables (variables without time) equal to
-    integrals.
+    The order of the constraints ("rows") is:
+
+    - path equations (equalities and inequalities over time), point by point;
+    - conditions (constraints at declared times, the members of the continuous set);
+    - constraints that make static variables (variables without time) equal to integrals.
 
     The method `with_data` returns a program for other parameter values. This program shares all
     parts that do not depend on the parameter values, such as sparsity patterns.
@@ -312,14 +313,14 @@ class Transcription:
     def objective_density(self, z: FloatArray) -> FloatArray:
         """Return the running cost of the objective at the collocation points, shape (n_points,).
 
-        The objective may contain integrals over the horizon, each multiplied by a coefficient. The
-        running cost is the sum of the integrands of these integrals, each multiplied by the
-        coefficient of its integral. If the objective is maximised, the sum is multiplied by -1. The
-        running cost is a density over the fraction of the horizon, which goes from 0 to 1.
+        The running cost is the sum of c times g over the integrals that enter the objective
+        directly. Here g is the integrand, and c is the derivative of the objective with respect to
+        the integral. If the objective is maximised, the sum is multiplied by -1. The running cost
+        is a density over the fraction of the horizon, which goes from 0 to 1.
 
-        Some integrals, for example those that enter the objective nonlinearly, are replaced in the
-        objective by a static variable (a variable without time). The sum does not contain the
-        integrands of these integrals. `z` are the unknowns of the program.
+        Other integrals are represented in the objective by a static variable (a variable without
+        time), for example if they enter nonlinearly. Their integrands are not part of the sum. `z`
+        are the unknowns of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -328,10 +329,11 @@ class Transcription:
     def objective_size(self, z: FloatArray) -> float:
         """Return the magnitude of the objective, as a reference for its relative errors.
 
-        The magnitude is the larger of two numbers at the unknowns `z`. One is the absolute value of
-        the objective. The other is the integral of the absolute value of the running cost over the
-        fraction of the horizon, in which positive and negative parts do not cancel. The method
-        `objective_density` returns the running cost.
+        The magnitude is the larger of two numbers at the unknowns `z`:
+
+        - the absolute value of the objective;
+        - the integral of the absolute value of the running cost (see `objective_density`). Positive
+          and negative parts of the running cost do not cancel in it.
         """
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
@@ -339,9 +341,9 @@ class Transcription:
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
         """Return the derivative of the objective with respect to each integral that occurs in it.
 
-        Integrals that a static variable (a variable without time) replaces in the objective are
-        left out. The derivatives are evaluated at the unknowns `z`. The objective is that of the
-        Pyomo model, not negated if it is maximised.
+        Some integrals are represented in the objective by a static variable (a variable without
+        time); they are left out. The derivatives are evaluated at the unknowns `z`. The objective
+        is that of the Pyomo model, not negated if it is maximised.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
@@ -358,9 +360,9 @@ class Transcription:
         """Return the variables of conditions and objective as an array with one row.
 
         A condition is a constraint at declared times (members of the continuous set). The variables
-        are values at declared times, static variables (variables without time), and integrals. An
-        integral is left out if a static variable replaces it in conditions and objective. `z` are
-        the unknowns of the program.
+        are values at declared times, static variables (variables without time), and integrals.
+        Integrals that a static variable represents are left out. `z` are the unknowns of the
+        program.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -401,8 +403,9 @@ class Transcription:
         The result is one array with three parts, evaluated at the unknowns `z`. First come the
         nonzeros of the Jacobian of path equations and integrands, point by point. Then come the
         nonzeros of the Jacobian of conditions (constraints at declared times) and objective. The
-        last entry is 1. It serves the constraints that make a static variable (a variable without
-        time) equal to an integral: 1 is their derivative with respect to the static variable.
+        last entry is the number 1. It is the derivative of the constraint
+        ``variable - integral = 0`` with respect to the variable. Such a constraint makes a static
+        variable (a variable without time) equal to an integral.
 
         The function `jacobian_scatter` returns the linear maps from this array to gradient and
         Jacobian.
@@ -493,10 +496,10 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        If the integral enters the objective directly, its weight is `factor` times the derivative
-        of the Pyomo model's objective with respect to the integral. Otherwise a static variable (a
-        variable without time) stands for the integral, and a constraint makes the variable equal to
-        the integral. The weight of the integral is then minus the multiplier of this constraint.
+        - If the integral enters the objective directly, its weight is `factor` times the derivative
+          of the Pyomo model's objective with respect to the integral.
+        - Otherwise a static variable (a variable without time) stands for the integral. The weight
+          is then minus the multiplier of the constraint ``variable - integral = 0``.
 
         Parameters
         ----------
@@ -536,8 +539,9 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Hessians of the Lagrangian with respect to the variables of each point.
 
-        There is one Hessian per collocation point. It contains the terms of the Lagrangian from the
-        path equations and integrands at the point, divided by the quadrature weight of the point.
+        There is one Hessian per collocation point. Only the terms of the Lagrangian from the path
+        equations and integrands at this point count. The Hessian is divided by the quadrature
+        weight of the point.
 
         Parameters
         ----------
@@ -608,10 +612,10 @@ class Transcription:
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
-        The contribution at a collocation point is a weighted sum of all integrands. The weight of
-        an integrand is the weight of its integral in the Lagrangian, from the method
-        `integral_weights`. The contribution is a density over the fraction of the horizon. `z` are
-        the unknowns, and `multipliers` the multipliers of all constraints of the program.
+        The contribution at a collocation point is a weighted sum of all integrands. The weights are
+        the result of the method `integral_weights`. The contribution is a density over the fraction
+        of the horizon. `z` are the unknowns, and `multipliers` the multipliers of all constraints
+        of the program.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))
@@ -681,8 +685,8 @@ def rate_corrections(
     Returns
     -------
     ndarray, shape (n_points, n_states)
-        Newton steps for the rates, which are exact if the rates enter linearly. If there are fewer
-        equations than rates, the steps have the least norm.
+        Newton steps for the rates. They are exact if the equations are linear in the rates. If
+        there are fewer equations than rates, the steps are those of least norm.
     """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]

@@ -1,11 +1,12 @@
 """Declared times of a horizon, the free times among them, and the phases between free times.
 
 A declared time is a member of the model's continuous set. The model can state conditions at
-declared times. Usually a declared time is a physical time. A declared time is free if a static
-variable (a variable without time) gives its physical time; the solve then determines this time. The
-free times inside the horizon divide it into phases. The fraction of the horizon is 0 at the first
-and 1 at the last declared time. Within a phase, physical time is a linear function of this
-fraction.
+declared times. Usually a declared time is itself the physical time. It is free if a static variable
+(a variable without time) gives its physical time instead. The solve then determines the physical
+time. The free times inside the horizon divide it into phases.
+
+The fraction of the horizon is 0 at the first and 1 at the last declared time. Within a phase,
+physical time is a linear function of this fraction.
 """
 
 from __future__ import annotations
@@ -105,12 +106,12 @@ class PhaseTimes:
 
     @property
     def _phase_factors(self) -> tuple[Any, ...]:
-        """Factors that select the phase which contains a time, one factor per phase.
+        """One factor per phase: 1 at times of the phase and 0 elsewhere.
 
-        The free times (times that the solve determines) divide the horizon into phases. Each factor
-        is a CasADi symbol, whose value is 1 at times of its phase and 0 elsewhere. If there is only
-        one phase, its factor is the number 1. To combine the expressions of all phases into one,
-        each is multiplied by the factor of its phase, and the products are summed.
+        The free times (times that the solve determines) divide the horizon into phases. A factor is
+        a CasADi symbol. If there is only one phase, its factor is the number 1. The factors combine
+        the expressions of all phases into one: each expression is multiplied by the factor of its
+        phase, and the products are summed.
         """
         return self.phases or (1.0,)
 
@@ -118,10 +119,10 @@ class PhaseTimes:
     def span(self) -> Any:
         """Derivative of physical time with respect to the fraction of the horizon.
 
-        The derivative is a CasADi expression that holds at all times. The free times (times that
-        the solve determines) are variables in it. They divide the horizon into phases. If there are
-        several phases, the expression also contains one symbol for each phase, which is 1 at times
-        of the phase and 0 elsewhere.
+        The derivative is a CasADi expression that contains the free times (times that the solve
+        determines). The free times divide the horizon into phases. If there are several phases, the
+        expression also contains one symbol per phase, which is 1 at times of the phase and 0
+        elsewhere. The expression therefore holds at all times.
         """
         return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 
@@ -150,9 +151,9 @@ class PhaseTimes:
     def time_at(self, time: float) -> Any:
         """Return the physical time that corresponds to a declared time, as a CasADi expression.
 
-        `time` is the declared time, a member of the continuous set. The physical time may differ
-        from `time`, because the solve determines some physical times (the free times). The
-        expression contains parameters and the variables that stand for the free times.
+        `time` is the declared time, a member of the continuous set. A declared time is free if the
+        solve determines its physical time. The physical time may then differ from `time`. The
+        expression contains parameters, and the variables that stand for free times.
         """
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
@@ -297,8 +298,8 @@ def _declared(time: Any, at: Any) -> float:
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
     """Raise an error if one of the variables cannot serve as the physical time of a declared time.
 
-    A declared time is a member of a continuous set. A variable must not be indexed by time, and
-    must not serve for two declared times.
+    A declared time is a member of a continuous set. The variable must have no time as index, and
+    may serve for one declared time only.
 
     Parameters
     ----------

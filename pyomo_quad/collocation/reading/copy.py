@@ -54,10 +54,10 @@ class WorkingCopy:
     model : ConcreteModel
         The clone.
     time : ContinuousSet or None
-        Continuous set of the horizon that this working copy represents. None for a model without
-        time. In a model with several horizons, an additional working copy represents their
-        coupling: the constraints and the objective that do not belong to a single horizon. The
-        attribute `time` of this copy is None, too.
+        Continuous set of the horizon that this working copy represents; None for a model without
+        time. A model with several horizons has one more working copy, for their coupling: the
+        constraints and the objective that do not belong to a single horizon. Its attribute `time`
+        is None, too.
     template_time : float
         The added time.
     declared_times : tuple of float
@@ -84,14 +84,13 @@ class WorkingCopy:
         """Return whether a constraint belongs to this working copy.
 
         A working copy represents one horizon of the model, or the coupling of several horizons. If
-        the model has at most one horizon, it has a single working copy, to which every constraint
-        belongs.
+        the model has at most one horizon, every constraint belongs to the only working copy.
+        Otherwise, each horizon has its own continuous set:
 
-        Each horizon has its own continuous set. A constraint belongs to a horizon if the continuous
-        set of the horizon indexes it. A constraint that no continuous set indexes belongs to a
-        horizon if some of its variables or parameters are indexed by the continuous set of this
-        horizon, and none by the continuous set of another. All remaining constraints belong to the
-        coupling.
+        - A constraint that is indexed by the continuous set of a horizon belongs to this horizon.
+        - A constraint without time belongs to a horizon if it contains variables or parameters over
+          time, and all of these belong to this horizon.
+        - All remaining constraints belong to the coupling.
 
         Parameters
         ----------
@@ -221,9 +220,8 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
     added time. The components of these types are deleted from `copy`, the clone of the user's
     model. `time` is the continuous set that indexes them.
 
-    The deletion does not change the nonlinear program. Most of the deleted types contribute nothing
-    to the program. Active blocks and objectives indexed by time would contribute, but models that
-    contain them have been refused before.
+    The deletion does not change the nonlinear program, because the deleted components contribute
+    nothing to it. Models with active blocks or objectives indexed by time have been refused before.
     """
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
@@ -232,9 +230,10 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 
 
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
-    """Raise an error for piecewise functions that need integers or are indexed by time.
+    """Raise an error for piecewise functions that use integer variables or depend on time.
 
-    All other piecewise functions consist of linear constraints, and are accepted.
+    A piecewise function depends on time if time is one of its indices. All other piecewise
+    functions consist of linear constraints, and are accepted.
 
     `model` is the user's model, and `times` are its continuous sets.
     """
@@ -253,9 +252,14 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for declarations that cannot be transcribed to a nonlinear program.
 
-    These are components of unknown types, integer variables, blocks and objectives indexed by time,
-    and derivatives of higher order. `model` is the user's model, and `times` are its continuous
-    sets.
+    These declarations are:
+
+    - components of unknown types;
+    - integer variables;
+    - blocks and objectives indexed by time;
+    - derivatives of higher order.
+
+    `model` is the user's model, and `times` are its continuous sets.
     """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)

@@ -4,26 +4,27 @@ In each cell of its grid a spline is a polynomial. One call of a CasADi function
 coefficients of this polynomial, and returns its value, gradient and Hessian. The coefficients come
 from a table, which is computed once for all cells.
 
-If the table of polynomial coefficients would become too large, it holds B-spline coefficients along
-some of the axes instead. Each of these axes has a further table. It holds the B-spline basis
-functions of the axis, as polynomials in each cell. The call looks up the degree + 1 basis functions
-that are not zero in the cell, evaluates them, and multiplies each of them by its B-spline
+For a spline with several axes, the table of polynomial coefficients may become too large. Along
+some of the axes, the table then holds B-spline coefficients instead. Each of these axes has a
+further table with its B-spline basis functions, as polynomials in each cell. The call evaluates the
+degree + 1 basis functions that are not zero in the cell. It multiplies each of them by its B-spline
 coefficient.
 
 A number is looked up in a table by the evaluation of a CasADi B-spline of degree zero. This
 evaluation neither copies nor searches the table.
 
-The call is made at a point near the arguments: each argument is rounded to a multiple of 2**-38
-(4e-12) of the smallest cell width. The rounded point counts as a constant, so that CasADi never
+The call is made at a rounded point near the arguments. The step of the rounding is 2**-38 (4e-12)
+of the smallest cell width. The rounded point counts as a constant, so that CasADi never
 differentiates the call. The CasADi expression of the spline is the Taylor polynomial of degree two
-around the rounded point.
+about the rounded point.
 
 Value and slope of the Taylor polynomial are exact to rounding errors. Its second derivatives are
-constant. Their error is about 4e-12 of the change of the spline's second derivatives in a cell.
+those of the spline at the rounded point. Their error is about 4e-12 of the change of the spline's
+second derivatives in a cell.
 
-CasADi's own cubic B-splines are slower, as CasADi differentiates each entry of gradient and Hessian
-separately. The Hessian of a spline with four axes took 80 microseconds. The method of this module
-takes 11 microseconds, and 1.5 microseconds for a spline with two axes.
+CasADi's own cubic B-splines are slower, because CasADi differentiates each entry of gradient and
+Hessian separately. For a spline with four axes, CasADi's Hessian took 80 microseconds, and the
+Hessian of this module takes 11 microseconds. With two axes, it takes 1.5 microseconds.
 """
 
 from __future__ import annotations
@@ -67,7 +68,7 @@ class LocalSpline:
     Attributes
     ----------
     roundings : tuple of float
-        Step to whose multiples each argument is rounded.
+        Step of the rounding of each argument.
     ends : tuple of (float, float)
         Interval to which each rounded argument is limited. An argument outside the interval is
         rounded to the nearer end of the interval.
@@ -76,8 +77,8 @@ class LocalSpline:
     kept : tuple of casadi.Function
         CasADi functions for the derivatives of `function`. They return zero, because the rounded
         arguments count as constants. (The derivatives of the spline come from the Taylor
-        polynomial.) The functions are kept in this attribute because CasADi would otherwise
-        construct them anew for each expression.
+        polynomial.) The attribute keeps these functions, so that CasADi does not construct them
+        anew for each expression.
     """
 
     roundings: tuple[float, ...]
@@ -217,13 +218,13 @@ _Parts = dict[tuple[int, ...], Any]
 
 
 def _weights(count: int, cells: int, degree: int) -> Any:
-    """Return a CasADi function for the factors by which a cell's coefficients are multiplied.
+    """Return a CasADi function for the factors of the terms of a spline in a grid cell.
 
-    In each cell of its grid, a spline is a sum of (degree + 1)**count terms. A term is a
-    coefficient of the cell, multiplied by one factor for each axis. The factor is a function of the
-    coordinate along the axis: a power of the local coordinate in the cell, or a B-spline basis
-    function. The CasADi function also returns derivatives of the factors, which give the
-    derivatives of the spline.
+    In a grid cell, a spline of x, y, ... is the sum of the terms
+    ``c[i, j, ...] * f_i(x) * g_j(y) * ...``, with coefficients c. Each index runs from 0 to the
+    degree. The factors along an axis, such as f_i, are either the powers of the local coordinate in
+    the cell or the B-spline basis functions. The CasADi function returns the factors, and their
+    derivatives for the derivatives of the spline.
 
     Parameters
     ----------
@@ -237,8 +238,8 @@ def _weights(count: int, cells: int, degree: int) -> Any:
     Returns
     -------
     casadi.Function
-        (point, a column for each axis) -> a matrix for each axis. The matrix has the shape
-        (degree + 1, 3): one row per factor, with its value, first and second derivative.
+        (point, a column for each axis) -> a matrix for each axis. The matrix has the shape (degree
+        + 1, 3): one row per factor, with its value, first and second derivative.
 
         The column of an axis describes the cell that contains the point. It has four parts:
 
@@ -262,20 +263,21 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
     """Sum the terms of a spline's value and derivatives along some axes.
 
-    In a grid cell, a spline is a sum of terms. A term is a coefficient of the cell, multiplied by
-    one factor for each axis. The factor is a function of the coordinate along the axis: a power of
-    the local coordinate in the cell, or a B-spline basis function. This function multiplies by the
-    factors of the given axes, and sums the products over these axes.
+    In a grid cell, a spline of x, y, ... is the sum of the terms
+    ``c[i, j, ...] * f_i(x) * g_j(y) * ...``, with coefficients c. In a derivative of the spline,
+    derivatives of the factors f_i, g_j, ... take their place. This function multiplies by the
+    factors of the given axes, and sums over the indices of these axes.
 
     Parameters
     ----------
     parts : dict
         Partial sums of the value and of each derivative of the spline. Earlier calls of this
-        function have summed the terms over the last axes of the spline, or over none. A key
-        identifies a derivative: it is a tuple with the order of the derivative along each axis that
-        is already summed. If no axis is summed yet, the only key is (). The value of a key is a
-        CasADi column of partial sums, with one sum for each combination of indices along the axes
-        that are not summed yet.
+        function have summed over the last axes of the spline, or over none.
+
+        A key identifies a derivative: it is a tuple with the order of the derivative along each
+        axis that is already summed. If no axis is summed yet, the only key is (). The value of a
+        key is a CasADi column, with one partial sum for each combination of the indices of the
+        other axes.
     weights : sequence of casadi.SX or casadi.MX
         For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
         its value, first and second derivative.
@@ -307,21 +309,20 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
     """Return a CasADi function that completes the sums for value, gradient and Hessian.
 
-    In a grid cell, a spline is a sum of terms. A term is a coefficient of the cell, multiplied by
-    one factor for each axis. The factor is a power of the local coordinate in the cell, or a
-    B-spline basis function. A derivative of the spline is this sum with derivatives of the factors.
+    In a grid cell, a spline of x, y, ... is the sum of the terms
+    ``c[i, j, ...] * f_i(x) * g_j(y) * ...``, with coefficients c. In a derivative of the spline,
+    derivatives of the factors f_i, g_j, ... take their place.
 
     The sums are computed in two steps. First, the function `_contracted` sums over all axes except
-    the first two. Then the function that is returned here sums over the first two axes, or over the
-    only axis. It consists of scalar operations, which take less time for few numbers than products
-    of matrices.
+    the first two. Then the CasADi function returned here sums over the first two axes (or over the
+    only axis). It adds number by number, which is faster for few numbers than products of matrices.
 
     Parameters
     ----------
     given : sequence of tuple of int
         Keys of the dictionary that the first step returns. A key identifies a derivative: it is a
-        tuple with the order of the derivative along each axis of the first step. A spline with one
-        or two axes has no axis for the first step; the only key is then ().
+        tuple with the order of the derivative along each axis of the first step. For a spline with
+        one or two axes, the first step has no axis, and the only key is ().
     count : int
         Number of axes of the spline.
     degree : int
@@ -372,8 +373,8 @@ def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> A
     breaks : sequence of ndarray
         Ends of the cells along each axis.
     table : ndarray
-        Array of numbers for each cell. The first axes of the table count the cells along each axis
-        of the grid; the further axes belong to the array of a single cell.
+        One array of numbers for each cell. The leading axes of the table are those of the grid, and
+        count the cells. The other axes are those of the array of a single cell.
 
     Returns
     -------
@@ -417,7 +418,7 @@ class _Pieces:
 
         `knots` are the knots along one axis in rising order, and `degree` is the degree of the
         basis functions. The first and the last cell serve for linear extrapolation. In these cells,
-        a basis function is a straight line with its value and slope at the boundary to the
+        each basis function is replaced by a straight line: its tangent at the boundary to the
         neighbouring cell.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables

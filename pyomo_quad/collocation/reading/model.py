@@ -106,10 +106,10 @@ class RelationReader:
     ) -> None:
         """Read the members of a constraint that differ in time only.
 
-        If the constraint holds between the declared times (members of the continuous set), the
-        members become one equation over time. Members at declared times that this equation does not
-        cover become conditions, which are constraints at single times. If there is no equation over
-        time, all members become conditions.
+        - If the constraint holds between the declared times (members of the continuous set), the
+          members become one equation over time. A member at a declared time that the equation does
+          not cover also becomes a condition, a constraint at a single time.
+        - Otherwise, each member becomes a condition.
 
         Parameters
         ----------
@@ -151,10 +151,16 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that repeats one constraint at all declared times.
 
-        A declared time is a member of the continuous set. The error is raised if the list has one
-        member per declared time, and the members differ in time only. Such a list is probably meant
-        for all times, but could only be imposed at the declared times. A list is accepted, however,
-        if a member contains a state or a static variable. `component` is the ConstraintList.
+        A declared time is a member of the continuous set. Such a list is probably meant for all
+        times, but could only be imposed at the declared times. The error is raised if all of these
+        hold:
+
+        - The list has one member per declared time.
+        - The members differ in time only.
+        - The variables in the members are algebraic variables over time (no states or static
+          variables).
+
+        `component` is the ConstraintList.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -215,16 +221,18 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that follow from a constraint's members at start and end.
+        """Return the conditions that a constraint's members at start and end add to its equation.
 
         A condition is a constraint at a single time. `equation` is the constraint as an equation
         over time, which is imposed at the collocation points. The collocation points include the
         end of the horizon but not its start. `instances` has the members of the constraint at
         declared times (members of the continuous set).
 
-        The member at the start becomes a condition if the equation contains states, but neither
-        rates (time derivatives of states) nor algebraic variables. The member at the end becomes a
-        condition if it differs from the equation.
+        - The member at the start becomes a condition if the equation contains states only. If it
+          also contains rates (time derivatives of states) or algebraic variables, it is not imposed
+          at the start. The same applies if all variables in the member are fixed at values that
+          satisfy it.
+        - The member at the end becomes a condition if it differs from the equation.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -242,8 +250,8 @@ class RelationReader:
     ) -> list[PointCondition]:
         """Return the members of a constraint that its equation over time does not cover.
 
-        A member at an interior declared time (member of the continuous set) may differ from the
-        equation. Each such member becomes a condition, which is a constraint at a single time.
+        These are members at interior declared times (members of the continuous set) that differ
+        from the equation. Each of them becomes a condition, which is a constraint at a single time.
 
         Parameters
         ----------
@@ -314,12 +322,12 @@ class RelationReader:
         """Return whether a condition equals an equation over time, evaluated at a declared time.
 
         A condition is a constraint at a declared time (a member of the continuous set). Condition
-        and equation come from one constraint of the model. A condition that equals the equation
-        need not be imposed separately.
+        and equation come from one constraint of the model. If they are equal, the condition need
+        not be imposed separately.
 
-        If the rule of the constraint branches on time, condition and equation count as equal even
-        if their numbers differ. Such a rule may return one number exactly at the declared time, and
-        another number just before or after it. The number at the single instant is ignored.
+        The rule of the constraint may branch on time. It may then return one number exactly at the
+        declared time, and another number just before or after it. For such a rule, numbers are
+        ignored: condition and equation are equal if they contain the same symbols.
 
         Parameters
         ----------
@@ -363,10 +371,11 @@ class RelationReader:
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
-        A declared time is a member of the continuous set. The method also adds constraints at
-        declared times to the list `conditions`: one for each value to which an algebraic variable
-        or a derivative is fixed, and one for each bound that was assigned at a single declared
-        time.
+        A declared time is a member of the continuous set. The method also adds constraints to the
+        list `conditions`, one for each of these:
+
+        - a value to which an algebraic variable or a derivative is fixed at a declared time;
+        - a bound that was assigned at a single declared time.
         """
         fixed = []
         table = self.symbols
@@ -395,9 +404,8 @@ class RelationReader:
     def _rates(self) -> Iterator[Slot]:
         """Yield the derivatives with respect to time, with their bounds, as `Slot` objects.
 
-        A `Slot` describes a scalar variable of the model as a function of time, here the derivative
-        of one state. It has the name, the index without the time (i for ``x[i, t]``) and the bounds
-        of the variable.
+        A `Slot` describes one scalar variable as a function of time, here the derivative of one
+        state. It has a name, an index without the time (i for ``x[i, t]``), and bounds.
         """
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
@@ -519,9 +527,11 @@ class ModelReader:
     def require_all(self) -> None:
         """Raise an error for a model without a variable to solve for, or without complete dynamics.
 
-        The dynamics are incomplete if the time derivative of a state appears in no equation over
-        time. An exception is a state that equations without time derivatives determine, such as the
-        boundary value of a variable that is discretised in space.
+        The dynamics are complete if each state satisfies one of these conditions:
+
+        - Its time derivative appears in an equation over time.
+        - Equations without time derivatives determine it. An example is the boundary value of a
+          variable that is discretised in space.
         """
         self._require_dynamics(self.equations)
         self._require_variables()
@@ -575,8 +585,8 @@ class ModelReader:
     def _read_expressions(self) -> None:
         """Translate every named expression over time once, even if no equation contains it.
 
-        The parameters in these expressions thus become parameters of the compiled program, and a
-        solution can evaluate the expressions later.
+        The parameters in these expressions thus become parameters of the compiled program. A
+        solution can then evaluate the expressions.
         """
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
@@ -590,10 +600,14 @@ class ModelReader:
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
         """Return the algebraic variables that the model uses, by name.
 
-        The model uses a variable if the variable appears in an equation over time or in an
-        integrand, or if its value at a single time appears in a condition (a constraint at that
-        time) or in the objective. `points` has the symbols of the values at single times in
-        conditions and objective. The result maps names to variables.
+        The model uses a variable if one of these holds:
+
+        - The variable appears in an equation over time or in an integrand.
+        - Its value at a single time appears in a condition (a constraint at that time) or in the
+          objective.
+
+        `points` has the symbols of the values at single times in conditions and objective. The
+        result maps names to variables.
         """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
@@ -637,17 +651,17 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of the variables that equations without time derivatives determine.
 
-        A state that such an equation determines needs no differential equation. An example is the
-        boundary value of a variable that is discretised in space.
+        A state with such an equation needs no differential equation. An example is the boundary
+        value of a variable that is discretised in space.
 
         Each equation can determine one of its variables. A maximum bipartite matching assigns a
         different equation to each variable, as far as possible. The result has the names of all
         variables with an equation.
 
-        The variables in the matching are the given states and the derivatives in space. The
-        discretisation in space adds one equation for each derivative in space, and this equation
-        determines the derivative. If the derivatives were not in the matching, the added equations
-        could be assigned to states by mistake.
+        The variables in the matching are the given states and the derivatives in space. For each
+        derivative in space, the discretisation adds one equation that determines it. The
+        derivatives are part of the matching, so that they take up these equations. Otherwise the
+        equations could be assigned to states by mistake.
 
         `states` are the states whose time derivatives appear in no equation. `read` has one item
         per equality over time: the names of its symbols.

@@ -124,12 +124,11 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Functions of time whose values are data of the compiled equations. A `Schedule` belongs to a
-        rule that branches on time. Its values state which expression the rule returns at a time,
-        and which numbers the expression has. A `Phases` object belongs to a horizon that free times
-        (times that the solve determines) divide into phases. Its values state which phase contains
-        a time. The CasADi symbols of all these data are in the attribute `scheduled` of the class
-        `Declarations`.
+        Objects that compute data over time for the compiled equations. A `Schedule` serves a rule
+        that branches on time. It gives the expression that the rule returns at a time, and the
+        numbers in the expression. A `Phases` object serves a horizon that free times (times that
+        the solve determines) divide into phases. It gives the phase that contains a time. The
+        CasADi symbols of these data are in `Declarations.scheduled`.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -276,7 +275,7 @@ class LiveModel:
         ------
         TranscriptionError
             If a parameter without a rule has different values at declared times (members of the
-            continuous set), because its values at other times are unknown. Or if a parameter with a
+            continuous set). Its values at other times are then unknown. Also if a parameter with a
             rule has values in the model that differ from those of the rule.
         """
         component = self.model.find_component(slot.component)
@@ -309,8 +308,8 @@ class LiveModel:
             The variable: one member of a Pyomo variable, for example ``omega[1]`` of
             ``omega[1, t]``.
         time : float or None
-            The time; it must be a member of the model's continuous set, because Pyomo stores values
-            at these times only. None for a variable that is not indexed by time.
+            The time, a member of the model's continuous set: Pyomo stores values at these times
+            only. None for a variable that is not indexed by time.
         number : float
             The solved value.
         """
@@ -353,8 +352,8 @@ class LiveModel:
     ) -> None:
         """Write the given sensitivities of constraints or of variables into a Pyomo suffix.
 
-        A sensitivity is the derivative of the objective with respect to the constant side of a
-        constraint, to a bound of a variable, or to a state.
+        A sensitivity is the derivative of the objective with respect to one of these: the constant
+        side of a constraint, a bound of a variable, or a state.
 
         Parameters
         ----------
@@ -423,8 +422,8 @@ class LiveModel:
 
         `slot` is the parameter. The polynomials approximate it piece by piece between the two times
         in `horizon`. `asked` are times in rising order, between which jumps of the parameter are
-        searched. If the approximation is not possible, the result has no polynomials, but a message
-        with the reason.
+        searched. If the approximation fails, the result has a message with the reason instead of
+        polynomials.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -440,8 +439,8 @@ def _as_interpolant(
 ) -> Interpolant:
     """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
 
-    If the function fails, or if too many polynomials are needed, the result has no polynomials, but
-    a message with the reason.
+    If the function fails, or if too many polynomials are needed, the result has a message with the
+    reason instead of polynomials.
 
     Parameters
     ----------
@@ -486,9 +485,10 @@ class ModelSnapshot:
     guesses : dict
         Name of a variable -> its `initialize` rule, as a function of time.
     schedules : tuple of Interpolant
-        For each rule that branches on time: the branch that applies and the numbers in it, as a
-        function of time. For a horizon that free times (times that the solve determines) divide
-        into phases: the phase that contains a time.
+        Functions of time, one for each `Schedule` or `Phases` object of the `LiveModel`. For a rule
+        that branches on time, the function gives the branch that applies and the numbers in it. For
+        a horizon with free times (times that the solve determines), it gives the phase that
+        contains a time.
     """
 
     times: tuple[float, ...]
@@ -560,8 +560,7 @@ class ModelSnapshot:
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
     """Return the value of the function `signal` at a time, in the form of a `Reading`.
 
-    The function `jumps` requires this form to find the times at which `signal` jumps. A `Reading`
-    has numbers and a key. Here the only number is the value of `signal` at `time`, and the key is
-    None.
+    A `Reading` has numbers and a key. Here the only number is the value of `signal` at `time`, and
+    the key is None. The function `jumps` needs this form to find the times at which `signal` jumps.
     """
     return Reading(None, (signal(time),))

@@ -1,6 +1,7 @@
 """Reading of a model's objective; an objective that sums a control over time is refused.
 
-Such a sum is probably meant as an integral, because a control has no meaning at a single time.
+Such a sum is probably meant as an integral: the value of a control at a single time has no effect
+on the trajectory.
 """
 
 from __future__ import annotations
@@ -48,10 +49,10 @@ def objective_of(copy: WorkingCopy) -> Any:
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     """Raise an error for an objective that sums a function of a control over the declared times.
 
-    The declared times are the members of the continuous set. The sum is probably meant as an
-    integral, because a control has no meaning at a single time. The error is raised if the control
-    enters the objective in the same way at all declared times. A sum over a state is accepted. It
-    may be a fit to data, or a cost at start and end of the horizon.
+    The declared times are the members of the continuous set. Such a sum is probably meant as an
+    integral: the value of a control at a single time has no effect on the trajectory. The error is
+    raised if the control enters the objective in the same way at all declared times. A sum over a
+    state is accepted, because it may be a fit to data, or a cost at start and end of the horizon.
 
     `objective` is the Pyomo objective, and `time` the continuous set. `copy` is the clone of the
     user's model to which they belong.

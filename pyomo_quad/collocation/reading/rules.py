@@ -101,9 +101,8 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Raise an error for rules that fail at the template time, which the model does not declare.
 
     The template time is an interior time that is added to a continuous set, to read the equations
-    over time there. Pyomo takes a `KeyError` in a rule as a request to skip the member. A rule that
-    fails with a `KeyError` at the template time would therefore remove its constraint from the
-    nonlinear program without notice.
+    over time there. If a rule raises a `KeyError`, Pyomo skips the member. If this happened at the
+    template time, the constraint would disappear from the nonlinear program without notice.
 
     Parameters
     ----------
@@ -130,9 +129,9 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    Equations over time are read by calling the rule again. The call would overlook a member that
-    the user has changed with Pyomo's method `set_value`. `copy` is the clone of the user's model.
-    Its constraints and named expressions with a rule are checked.
+    Equations over time are read by calling the rule again. If a user has changed a member with
+    Pyomo's method `set_value`, the call would not show the change. `copy` is the clone of the
+    user's model. Its constraints and named expressions with a rule are checked.
 
     Raises
     ------
@@ -175,8 +174,8 @@ def _is_same(held: Any, stated: Any) -> bool:
 class _PrefixNotation(PrefixVisitor):
     """Visitor that writes a Pyomo expression in prefix notation, so that two can be compared.
 
-    A named expression is written as a single entry, without its contents. The contents are checked
-    elsewhere: each named expression is itself compared with the expression that its rule returns.
+    A named expression is written as a single entry, without its contents. The contents are compared
+    separately, with the expression that the rule of the named expression returns.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name

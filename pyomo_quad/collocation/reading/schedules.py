@@ -118,8 +118,8 @@ class _Form:
     numbers : tuple of float
         Numbers in `statement`, in the order of their appearance.
     varying : list of int
-        Positions in `numbers`, from 0, of the numbers that differ in the rule's results of this
-        form at other times.
+        Positions in `numbers`, from 0, of the numbers that vary between the rule's results of this
+        form.
     """
 
     statement: Statement
@@ -129,12 +129,10 @@ class _Form:
     def compare(self, numbers: tuple[float, ...]) -> None:
         """Record which numbers in the form vary, by comparison with a further result of the rule.
 
-        The rule is called at many times, and returns an expression each time. Results have the same
-        form if they differ in numbers only. `numbers` are the numbers in a later result of this
-        form, in the order of their appearance. They are compared with the attribute `numbers`, the
-        numbers in the first result of this form. Each position at which they differ is added to the
-        attribute `varying`. In the compiled equations, numbers that vary are data over time, and
-        all others are constants.
+        `numbers` are the numbers in a later result of this form, in the order of their appearance.
+        Each position at which they differ from the attribute `numbers` is added to the attribute
+        `varying`. In the compiled equations, numbers that vary are data over time, and all others
+        are constants.
         """
         for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
             if number != first and k not in self.varying:
@@ -157,9 +155,9 @@ class Schedule:
         Declared times (members of the continuous set). The rule is called between them, and just
         before and just after each of them.
     place : callable, optional
-        Function that replaces a time before the rule is called with it. If the result of the rule
-        is the same at all times of an interval, `place` can return one time for the whole interval.
-        By default the time is not replaced.
+        Given time -> time with which the rule is called instead. If the result of the rule is the
+        same at all times of an interval, `place` can return one time for the whole interval. By
+        default, the rule is called with the given time.
 
     Attributes
     ----------
@@ -202,8 +200,8 @@ class Schedule:
         """Return a new `Slot`: a named quantity over time, with a new CasADi symbol.
 
         The quantity is one of the data over time that the compiled equations read, for example a
-        number in the rule's result. Its name is the name of the component, followed by `what` in
-        parentheses. `what` says in words what the quantity is.
+        number in the rule's result. `what` describes the quantity in words. The name of the `Slot`
+        is the name of the component, followed by `what` in parentheses.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -221,8 +219,8 @@ class Schedule:
         Raises
         ------
         TranscriptionError
-            If the rule returns a form that it returned at none of the times tried before
-            compilation, or if a number varies that was constant at those times.
+            If the rule returns a new form, which it did not return at the times tried before
+            compilation. Also if a number varies that was constant at those times.
         """
         return _remembered(self._known, self._place(time), self._read)
 
@@ -256,8 +254,8 @@ class Schedule:
         Raises
         ------
         TranscriptionError
-            Before compilation, if there are too many forms. After compilation, if the form is new,
-            or if a number differs that was the same in all results before compilation.
+            Before compilation: if there are too many forms. After compilation: if the form is new,
+            or if a number varies that was constant before compilation.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -285,20 +283,23 @@ class Schedule:
     def row(self, time: float) -> list[float]:
         """Return the values, at one time, of the data that the compiled forms read.
 
-        A form is an expression that the rule returns, with numbers as parameters. First come the
-        factors that select a form: 1 for the form that applies at the time, and 0 for the others.
-        If there are several forms, the last has no factor; it applies if all factors are 0. The
-        numbers that vary in the forms follow. The order is that of the attribute `slots`. The
-        result comes from a cache if the time was evaluated before.
+        A form is an expression that the rule returns, with numbers as parameters. The values are in
+        the order of the attribute `slots`:
+
+        - First come the factors that select a form: 1 for the form that applies at the time, and 0
+          for the others. If there are several forms, the last has no factor. It applies if all
+          factors are 0.
+        - Then follow the numbers that vary in the forms.
+
+        If the time was evaluated before, the result comes from a cache.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
         """Call the rule at a time, and return the data that the compiled equations read.
 
-        The data state which form (expression with numbers as parameters) the rule returns, and the
-        numbers in it. The method `row` describes them. It returns them from a cache, and calls this
-        method for new times.
+        The data are the result of the method `row`. That method keeps them in a cache, and calls
+        this method for new times.
         """
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
@@ -311,11 +312,10 @@ class Schedule:
         """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
         The parts are lower bound, body and upper bound of a constraint, or a single expression.
-        The rule may return a different result at each time. Results that differ in their numbers
-        only have the same form. Each returned expression combines all forms, so that it holds at
-        all times: some of its symbols select the form that applies at a time, and the others stand
-        for the numbers that vary. All these symbols are in the attribute `slots`; their values are
-        data over time.
+        Results of the rule at different times have the same form if they differ in their numbers
+        only. Each returned expression combines all forms, so that it holds at all times. Some of
+        its symbols select the form that applies at a time. The others stand for the numbers that
+        vary. These symbols are in the attribute `slots`, and their values are data over time.
 
         Parameters
         ----------
@@ -324,8 +324,8 @@ class Schedule:
             The iterator `numbers` yields one item for each number in the part, in the order of
             appearance. The item is a symbol if the number varies, and the number itself otherwise.
         absent : sequence
-            For each part, the value to write where the rule returns None, for example minus
-            infinity for an absent lower bound.
+            For each part, the value that replaces None, for example minus infinity for an absent
+            lower bound.
 
         Returns
         -------
@@ -352,13 +352,13 @@ class Schedule:
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
         """Replace the bodies of forms without bounds by the body of a form with bounds.
 
-        Results of the rule have the same form if they differ in their numbers only. If the rule
-        skips the constraint at some times, the form at these times has no bounds. The body of a
-        form without bounds has no effect, and can be replaced. The body is taken from the first
-        form with bounds. If that body is not linear, nothing is changed.
+        Results of the rule have the same form if they differ in their numbers only. At times at
+        which the rule skips the constraint, the form has no bounds. The body of this form has no
+        effect, and can be replaced. The new body is that of the first form with bounds. If the new
+        body is not linear, nothing is changed.
 
-        The purpose: a constraint on a single variable can become a bound of that variable, but only
-        if all forms have the same body.
+        The replacement serves constraints on a single variable. Such a constraint can become a
+        bound of the variable, but only if all forms have the same body.
 
         `forms` has lower bound, body and upper bound of each form, as CasADi expressions. It is
         changed in place.
@@ -422,8 +422,8 @@ def _either(holds: Any, first: Any, second: Any) -> Any:
 def _structure(part: Any, numbers: list[float]) -> Any:
     """Return a hashable key that identifies the structure of a Pyomo expression.
 
-    `part` is the expression. The numbers in it are no part of the key. They are appended to the
-    list `numbers` in the order of their appearance.
+    `part` is the expression. The key leaves out the numbers in the expression. They are appended to
+    the list `numbers` in the order of their appearance.
     """
     if part is None:
         return None
@@ -520,11 +520,13 @@ def _steps(
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     """Return the fraction of the horizon at which parameters are evaluated for a given fraction.
 
-    The result differs from `fraction` only in two cases. If a parameter jumps at `fraction`, the
-    result is just before the jump: on the boundary between two elements, the value before the jump
-    applies, because the boundary belongs to the element that ends there. If `fraction` is 0 or 1,
-    the result is slightly inside the horizon. `jumps_at` are the fractions at which parameters
-    jump, in rising order.
+    The result is usually `fraction` itself. There are two exceptions:
+
+    - If a parameter jumps at `fraction`, the result is just before the jump. The jump is on the
+      boundary of two elements, which belongs to the element before it.
+    - If `fraction` is 0 or 1, the result is slightly inside the horizon.
+
+    `jumps_at` are the fractions at which parameters jump, in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -653,10 +655,10 @@ def interpolant(
 ) -> Interpolant:
     """Approximate functions of time by piecewise polynomials over a horizon.
 
-    In a pickle, the result replaces functions that cannot be pickled, such as rules of a model. The
-    horizon is first divided at the jumps. A piece is halved until a polynomial of degree 12
-    reproduces each function to 1e-13 of the function's largest magnitude in the piece. Pieces are
-    therefore short near a kink.
+    The polynomials can be pickled. In a pickle, they replace functions that cannot, such as rules
+    of a model. The horizon is first divided at the jumps. A piece is halved until a polynomial of
+    degree 12 reproduces each function to 1e-13 of the function's largest magnitude in the piece.
+    Pieces are therefore short near a kink.
 
     Parameters
     ----------
@@ -673,7 +675,7 @@ def interpolant(
     -------
     Interpolant
         The polynomials. If a function raises a `TranscriptionError`, or if more than 20,000 pieces
-        are needed, the result has no polynomials, but a message with the reason.
+        are needed, the result has a message with the reason instead.
     """
     start, end = horizon
     refusal = (

@@ -55,8 +55,8 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule used the number of the symbol. If it did, the result of the call does not
-        serve all times. A comparison with a declared time does not count.
+        Whether the rule used the number of the symbol (comparisons with declared times do not
+        count). The result of the rule then depends on the number, and does not hold at all times.
     """
 
     def __init__(
@@ -85,9 +85,8 @@ class TimeSymbol:
         time at which equations are read). `relation` is the comparison, a function of two numbers,
         for example `operator.lt`. `other` is the second number, or another symbol for time.
 
-        A comparison with a declared time (member of the continuous set) has no further effect. A
-        comparison with any other number sets the attribute `is_read` to True, because the result of
-        the rule then does not serve all times.
+        A comparison with any number except a declared time (member of the continuous set) sets the
+        attribute `is_read` to True. The result of the rule then does not hold at all times.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -133,7 +132,7 @@ class TimeSymbol:
         return 1.0 if isinstance(other, TimeSymbol) else self.parameter - other
 
     def is_numeric_type(self) -> bool:
-        """Return False: Pyomo then calls the method `as_numeric` to obtain a Pyomo parameter."""
+        """Return False, so that Pyomo calls the method `as_numeric` to obtain a Pyomo parameter."""
         return False
 
     def as_numeric(self) -> Any:
@@ -207,8 +206,8 @@ class _TrapezoidProbe:
 
     The function `integrand` uses the stand-in to obtain the integrand of a `pyomo.dae.Integral`.
     The rule of an integral sums trapezoids between the times in the set. With this stand-in as its
-    block, the rule sums a single trapezoid, whose two ends are at one time. The difference of the
-    two ends is defined as 1. The area of the trapezoid is therefore the integrand at this time.
+    block, the rule sums a single trapezoid. Both ends of the trapezoid are at the same time, and
+    its width is defined as 1. Its area is therefore the integrand at this time.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -243,9 +242,9 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return the integrand of a `pyomo.dae.Integral` at a time, as a Pyomo expression.
 
     `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. This
-    function calls the rule for a single trapezoid. Both ends of the trapezoid are `symbol`, and
-    their difference is defined as 1. The rule returns the area of the trapezoid, which is therefore
-    the integrand at that time.
+    function calls the rule for a single trapezoid. Both ends of the trapezoid are `symbol`, and its
+    width is defined as 1. Its area, which the rule returns, is therefore the integrand at that
+    time.
 
     Parameters
     ----------
@@ -253,10 +252,10 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     index : index of the integral, or None
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time. A `TimeSymbol` is a symbol that stands for any time. An `Instant` is a number. The
-        symbol or number appears in the result wherever the integrand contains the time itself.
-        The variables in the result are always the members at the template time, an interior time
-        that was added to the continuous set, because both objects are equal to it as an index.
+        The time: a `TimeSymbol` stands for any time, and an `Instant` is a number. It appears in
+        the result wherever the integrand contains the time itself. The template time is an interior
+        time that was added to the continuous set. As an index, both objects equal the template
+        time. The variables in the result are therefore the members at the template time.
     """
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
@@ -575,9 +574,12 @@ class Declarations:
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of the data of a collocation point, in the order that compiled functions expect.
 
-        The order is: the fraction of the horizon, the parameters over time (`signals`), other
-        quantities without a CasADi expression of time (`scheduled`), and the parameters without
-        time (`parameters`).
+        The order is:
+
+        - the fraction of the horizon;
+        - the parameters over time (`signals`);
+        - other quantities without a CasADi expression of time (`scheduled`);
+        - the parameters without time (`parameters`).
         """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
@@ -655,8 +657,8 @@ class SymbolTable:
         """Return the symbol for the physical time at start or end of the horizon.
 
         The symbol belongs to a new parameter of the model, named `name`. `time` is the first or
-        last member of the continuous set. A model without a continuous set needs no parameter. Its
-        `time` is 0 for the start and 1 for the end, and the result is this number.
+        last member of the continuous set. For a model without a continuous set, `time` is 0 for the
+        start and 1 for the end. The result is then this number.
         """
         if self._copy.time is None:
             return casadi.SX(time)

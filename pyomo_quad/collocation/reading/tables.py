@@ -106,8 +106,8 @@ class Spline:
         An evaluation has two steps. First, the value, gradient and Hessian of the spline are
         computed at a rounded point: each argument is rounded by at most 4e-12 of the smallest grid
         step. Then the Taylor polynomial of degree two about the rounded point gives the value at
-        the arguments themselves. The error of this polynomial is negligible, because the rounded
-        point is so near. Beyond the data the spline is linear, and the polynomial is exact.
+        the arguments themselves. The rounded point is so near that the error of this polynomial is
+        negligible. Beyond the data the spline is linear, and the polynomial is exact.
         """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
@@ -130,14 +130,15 @@ def _extended_linearly(
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
     The result is computed in two steps. First, a usual spline interpolates the data. Then the
-    resulting spline is computed from values at its Greville abscissae, one value for each
-    coefficient. A Greville abscissa is the mean of `degree` successive knots. If the abscissa is
-    inside the range of the data, the value is that of the usual spline. If it is outside, the value
-    is that of the tangent of the usual spline at the nearest data point.
+    resulting spline is computed from its values at its Greville abscissae. A Greville abscissa is
+    the mean of `degree` successive knots, and there is one for each coefficient. The values are:
+
+    - inside the range of the data: the value of the usual spline;
+    - outside: the value of the tangent of the usual spline at the nearest data point.
 
     In the resulting spline, the first and the last data point are knots of multiplicity degree - 1.
-    Only value and slope are continuous at these knots, so that the spline can change to a straight
-    line.
+    At these knots, only value and slope are continuous. The spline can therefore change to a
+    straight line there.
 
     Parameters
     ----------
@@ -377,9 +378,9 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 def _range(argument: Any) -> tuple[float, float]:
     """Return the interval from which test values for an argument of a function are drawn.
 
-    `argument` is the argument, a Pyomo expression. The result is (lower bound, upper bound) of the
-    expression, or (0.1, 0.9) if a bound is missing. The test compares values of the function with
-    values of its CasADi expression.
+    The test compares values of the function with values of its CasADi expression. `argument` is the
+    argument, a Pyomo expression. The result is (lower bound, upper bound) of the expression, or
+    (0.1, 0.9) if a bound is missing.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
@@ -403,8 +404,8 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     ------
     TranscriptionError
         If the function has too many arguments, or an argument has no finite bounds. Also if the
-        function fails or is not finite between the bounds, or if even the largest number of samples
-        does not give the required accuracy.
+        function fails or is not finite between the bounds. Also if the accuracy is not reached with
+        the largest number of samples.
     """
     name = function.name
     if len(stated) not in _SAMPLES:

@@ -52,7 +52,7 @@ class Instance:
     jumps : tuple of float
         Fractions of the horizon at which a time-dependent parameter may jump.
     left_out : frozenset of str
-        Names of constraints at declared times that are not imposed. They follow from other
+        Names of constraints at declared times that are left out, because they follow from other
         equations.
     """
 
@@ -207,9 +207,8 @@ class ModelValues:
 
         The function returns a list of numbers, in the order that the compiled equations expect:
         first the values of the time-dependent parameters, then the values of the symbols in
-        `Declarations.scheduled`. These symbols stand for numbers that change with time but are no
-        parameters, such as a coefficient that a rule sets to 1 before a given time and to 2 after
-        it.
+        `Declarations.scheduled`. These symbols stand for other numbers that change with time. An
+        example is a coefficient that a rule sets to 1 before a given time and to 2 after it.
 
         `instance` holds the horizon, and the parameter values that the caller gives.
 
@@ -217,9 +216,8 @@ class ModelValues:
         ------
         TranscriptionError
             If a parameter over time has neither a rule nor a value from the caller. The returned
-            function raises the same error if a rule that branches on time returns an expression
-            that it did not return when the equations were compiled. Expressions that differ only in
-            their numbers count as equal.
+            function also raises this error. It does so if a rule that branches on time returns an
+            expression that was unknown when the equations were compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -246,11 +244,13 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent parameters may jump.
 
-        The fractions belong to the interior declared times (members of the continuous set), and to
-        the times at which bisection finds a jump of a parameter or of a rule's result. They are in
-        rising order. Jumps of parameters given as `Steps` (piecewise constant functions) are not
-        searched. `overrides` has the parameter values that the caller gives. `horizon` is start and
-        end of the horizon, by default the ends of the continuous set.
+        The fractions, in rising order, belong to two kinds of times:
+
+        - the interior declared times (members of the continuous set);
+        - the times at which bisection finds a jump of a parameter or of a rule's result.
+        Jumps of parameters given as `Steps` (piecewise constant functions) are not searched.
+        `overrides` has the parameter values that the caller gives. `horizon` is start and end of
+        the horizon, by default the ends of the continuous set.
         """
         if not self._declared.has_signals:
             return ()
@@ -270,12 +270,11 @@ class ModelValues:
         """Return start and end of the range of times with which rules of the model are called.
 
         The range is normally the horizon of the solve, `horizon`. If any time is free (determined
-        by the solve), the range is that of the continuous set. The physical times are then unknown,
-        and a rule is called with times of the continuous set instead.
+        by the solve), the physical times are unknown. Rules are then called with times of the
+        continuous set, and the range is that of the continuous set.
 
-        As a side effect, the method records the earliest start and the latest end of the ranges of
-        all its calls. When the model is pickled, piecewise polynomials replace its rules between
-        these two times.
+        As a side effect, the method records the union of the ranges of all its calls. When the
+        model is pickled, piecewise polynomials replace its rules in this union.
         """
         found = self.declared_horizon if self._declared.clock.is_free else horizon
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
@@ -414,9 +413,8 @@ class ModelValues:
         """Return the model's current values, for a pickle.
 
         Functions of time, such as the rules of parameters, are stored as piecewise polynomials over
-        a range of times. Each solve may have its own horizon, which replaces the ends of the
-        continuous set. The range contains the continuous set and the horizons of all solves so far:
-        it extends from the earliest start to the latest end of them.
+        a range of times. The range contains the continuous set, and the horizons of all solves so
+        far. (A solve may have a horizon that differs from the continuous set.)
         """
         return self._source.snapshot(self._declared, self._widest)
 

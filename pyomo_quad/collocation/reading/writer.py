@@ -279,11 +279,11 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Some data depend on time but have no CasADi expression of time. The objects in this list
-        give the values of such data at any time. A `Schedule` belongs to a rule that branches on
-        time or looks up numbers by time. It gives the branch that the rule takes, and the numbers
-        in the branch. A `Phases` object belongs to a horizon that is divided into phases by free
-        times (times that the solve determines). It tells which phase contains a time.
+        Objects that give the values of data over time without a CasADi expression. A `Schedule`
+        serves a rule that branches on time or looks up numbers by time. It gives the branch that
+        the rule takes, and the numbers in the branch. A `Phases` object serves a horizon that free
+        times (times that the solve determines) divide into phases. It gives the phase that contains
+        a time.
     """
 
     def __init__(
@@ -333,9 +333,11 @@ class TemplateWriter:
     ) -> PathEquation | None:
         """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
-        The result is None if the constraint is imposed at none of the times between the members of
-        the continuous set: its rule skips these times, or it has no rule and no member at the
-        template time.
+        The result is None if the constraint is imposed at members of the continuous set only. There
+        are two such cases:
+
+        - The rule of the constraint skips all times between these members.
+        - The constraint has no rule, and no member at the template time.
 
         Parameters
         ----------
@@ -394,21 +396,15 @@ class TemplateWriter:
         """Return a variable's bounds for all times, if a user changed the bounds after declaration.
 
         `slot` is the variable. It has one member at each declared time (time in the continuous
-        set), and a user can change the bounds of these members. If one or more members keep their
-        declared bounds, the result is None. If the bounds of all members were changed, the result
-        depends on the kind of variable.
+        set), and a user can change the bounds of each member. There are three cases:
 
-        An algebraic variable, or a state with a fixed member:
-
-        - If all members have equal bounds, these bounds apply at all times and are the result.
-        - If the bounds differ from member to member, an error is raised.
-
-        A state without a fixed member:
-
-        - If the bounds differ from member to member, they apply at the declared times only. The
-          result is None.
-        - If all members have equal bounds, an error is raised. It is unclear whether these bounds
-          apply between the declared times.
+        - One or more members keep their declared bounds. The result is None.
+        - All members have new bounds, which are equal. For an algebraic variable, or a state with a
+          fixed member, the new bounds apply at all times and are the result. For any other state,
+          an error is raised, because it is unclear whether they apply between the declared times.
+        - All members have new bounds, which differ. For a state without a fixed member, the new
+          bounds apply at the declared times only, and the result is None. For any other variable,
+          an error is raised.
 
         Returns
         -------
@@ -538,12 +534,12 @@ class TemplateWriter:
         """Return a constraint's member at a declared time, with the physical time as a symbol.
 
         A declared time is a member of the continuous set. Its physical time may be free (determined
-        by the solve). An example is a constraint with the rule ``m.x[t] == t``. The user's model
-        has a number on the right-hand side. In the result, a symbol for the physical time replaces
-        this number.
+        by the solve). For example, the constraint with the rule ``m.x[t] == t`` has a number on the
+        right-hand side in the user's model. In the result, a symbol for the physical time replaces
+        the number.
 
-        `data` is the member, a Pyomo data object. If its physical time does not depend on the
-        solve, the member is returned unchanged.
+        `data` is the member, a Pyomo data object. If its physical time is not free, the member is
+        returned unchanged.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -569,8 +565,8 @@ class TemplateWriter:
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
         """Return the values of time-dependent data, just before or just after a given time.
 
-        Python evaluates these data, because they have no CasADi expression of time. Symbols stand
-        for the data in the equations. There are two kinds of data:
+        The data have no CasADi expression of time. In the equations, symbols stand for them, and
+        Python evaluates their values. There are two kinds of data:
 
         - For a rule that branches on time, the data are the branch that the rule takes, and the
           numbers in the branch.
@@ -593,11 +589,10 @@ class TemplateWriter:
     def _within(self, time: float) -> float:
         """Return the midpoint between the declared times before and after a given time.
 
-        Declared times are the members of the continuous set. `time` is the given time.
-
-        This method serves models with free times (times that the solve determines). In such a
-        model, the result of a rule that branches on time may change at declared times only. The
-        rule is therefore called with the midpoint instead of `time`.
+        Declared times are the members of the continuous set. `time` is the given time. This method
+        serves models with free times (times that the solve determines). In such a model, the result
+        of a rule that branches on time may change at declared times only. The rule is therefore
+        called with the midpoint instead of `time`.
         """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
@@ -693,8 +688,8 @@ class TemplateWriter:
 
         `expression` is the named expression or integral, a Pyomo data object. An integral is
         replaced by its symbol. An expression over time at the template time (the added interior
-        time at which equations are read) is replaced by the result of its rule. Any other named
-        expression is not replaced, and the result is None.
+        time at which equations are read) is replaced by the result of its rule. For any other named
+        expression, the result is None, and its definition is translated instead.
         """
         component = expression.parent_component()
         if component is None:
@@ -818,8 +813,8 @@ def _as_numeric(statement: Statement) -> Statement:
 
     `statement` is the result of a rule that was called with a symbol for time. Its parts are the
     lower bound, body and upper bound of a constraint, or a single expression. A part may be the
-    symbol itself, for example a bound that equals the time. The symbol is no Pyomo object. Such a
-    part is therefore replaced by the Pyomo parameter for physical time. Other parts are unchanged.
+    symbol itself, for example a bound that equals the time. The Pyomo parameter for physical time
+    replaces this part, because the symbol is no Pyomo object. Other parts are unchanged.
     """
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))

@@ -28,8 +28,8 @@ SAME = 1e-12
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit becomes active or inactive.
 
-    The problem itself requires some element boundaries, for example where a parameter jumps. A
-    limit that becomes active or inactive at a required boundary is not counted.
+    Some element boundaries are required by the problem itself, for example where a parameter jumps.
+    Changes of limits at these boundaries are not counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)
@@ -38,10 +38,14 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit on controls switches.
 
-    A limit switches where it becomes active or inactive. A limit on controls contains algebraic
-    variables only; all other limits contain a state or a rate (time derivative of a state). An
-    element is left out if a limit of the other kind switches in or beside it, because a costate may
-    then jump. Switches of limits at element boundaries that the problem requires are not counted.
+    A limit switches where it becomes active or inactive. There are two kinds of limits:
+
+    - A limit on controls contains algebraic variables only.
+    - All other limits contain a state or a rate (time derivative of a state). An element in or
+      beside which such a limit switches is left out, because a costate may jump there.
+
+    Some element boundaries are required by the problem itself, for example where a parameter jumps.
+    Switches at these boundaries are not counted.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
@@ -50,10 +54,10 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
     """Return for each limit over time whether it limits algebraic variables alone.
 
-    A limit on algebraic variables alone involves no state and no rate (derivative of a state). The
-    result has shape (n_limits,). The limits are, in this order: lower bounds of states and
-    algebraic variables, upper bounds of these variables, lower sides of path equations, and upper
-    sides of path equations.
+    The other limits involve a state or a rate (derivative of a state). The result has shape
+    (n_limits,). The limits are, in this order: lower bounds of states and algebraic variables,
+    upper bounds of these variables, lower sides of path equations, and upper sides of path
+    equations.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -89,9 +93,12 @@ def _changing(
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
     """Return for each breakpoint (element boundary) of the mesh whether the problem requires it.
 
-    The result has shape (n_elements + 1,). Required breakpoints are the start and end of the
-    horizon, the times of constraints at a single time, the times at which a variable is fixed, and
-    the times at which a parameter jumps.
+    The result has shape (n_elements + 1,). Required breakpoints are:
+
+    - the start and end of the horizon;
+    - the times of constraints at a single time;
+    - the times at which a variable is fixed;
+    - the times at which a parameter jumps.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
@@ -117,12 +124,12 @@ def kinks(solution: Solution) -> FloatArray:
     """Return the times of kinks, at which an algebraic variable reaches or leaves a limit.
 
     At a kink the variable is continuous and its slope jumps. The kink lies between two neighbouring
-    collocation points, one where the limit is active and one where it is inactive. The slack
+    collocation points: the limit is active at one of them and inactive at the other. The slack
     (distance to the limit) is extrapolated from three points at which the limit is inactive. The
     kink is at the zero of the extrapolated slack.
 
-    A jump of the variable at a limit is no kink, and is left out. A jump is assumed if the slack at
-    the inactive point is large, or if the extrapolated slack has no zero between the two points.
+    Jumps of the variable from or to a limit are left out. A jump is assumed if the slack at the
+    inactive point is large, or if the extrapolated slack has no zero between the two points.
 
     Returns
     -------
@@ -149,9 +156,9 @@ def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a positive function reaches zero, by inverse extrapolation.
 
     A polynomial gives the time as a function of the value, and is evaluated at the value 0.
-    `values` are samples of the function at the times `times`, all on one side of the zero. The
-    first sample is nearest to the zero, and each further sample is farther away. The result is NaN
-    if the values do not rise from sample to sample.
+    `values` are samples of the function at the times `times`. All samples are on one side of the
+    zero, and the nearest is first. Their values must rise from sample to sample; otherwise the
+    result is NaN.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan

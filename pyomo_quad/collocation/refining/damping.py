@@ -1,10 +1,10 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
 A control enters linearly if the equations and the objective depend linearly on it. The objective
-then hardly depends on the control at a single point. Without damping, the control oscillates from
-point to point (chatter), and changes from mesh to mesh. Damping is a penalty on the distance
-between the control and the smoothed control of the previous mesh. See docs/theory/refinement.md,
-eq. (9).
+then hardly depends on the value of the control at a single collocation point. Without damping, the
+control oscillates from point to point (chatter), and changes from mesh to mesh. Damping is a
+penalty on the distance between the control and the smoothed control of the previous mesh. See
+docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ class Damping:
     controls : ndarray of int, shape (n_controls,)
         Positions of the damped controls among the algebraic variables.
     prices : ndarray, shape (n_controls,)
-        Factor of the penalty for each control. The penalty is half the factor times the mean square
-        distance over the horizon between the control and the smoothed control.
+        Factor of the penalty for each control. The penalty is ``factor / 2`` times the mean over
+        the horizon of ``(control - smoothed control)**2``.
     gap : float
-        Complementarity gap that the solve on the next mesh leaves, in the unit of the objective.
+        Complementarity gap at which the solve on the next mesh ends, in the unit of the objective.
         The gap is the sum over all limits of multiplier times distance to the limit. If `gap` is
-        positive, Ipopt stops reducing its barrier parameter at a gap of this size. If `gap` is
+        positive, Ipopt stops reducing its barrier parameter when the gap has this size. If `gap` is
         zero, Ipopt's usual final barrier parameter applies.
     is_still : bool
         Whether the objective hardly changes from mesh to mesh any more. The smoothed controls are
@@ -83,13 +83,12 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor`.
 
-        The new damping smooths the previous controls by polynomials in each element: its attribute
-        `is_still` is true.
+        The new damping differs in two more attributes:
 
-        The new damping may also permit a larger complementarity gap at the end of the next solve.
-        The gap is the sum over all limits of multiplier times distance to the limit. The new
-        permitted gap is the larger of two numbers: the gap that this damping permits, and `gap`
-        times the nominal magnitude of the objective.
+        - `is_still` is true: the previous controls are smoothed by polynomials in each element.
+        - `gap` is the larger of two numbers: the present `gap`, and the argument `gap` times the
+          nominal magnitude of the objective. It is the complementarity gap at which the next solve
+          ends: the sum over all limits of multiplier times distance to the limit.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -111,11 +110,11 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return the smoothed controls of the previous mesh, towards which controls are damped.
 
-        The smoothed controls are straight lines between the means of the controls over each
-        element. If `is_still` is true (the objective hardly changes from mesh to mesh any more),
-        they are polynomials of low degree in each element, clipped to the limits of the controls.
-        `fractions` are the times of the result as fractions of the horizon. The result has shape
-        (n_fractions, n_controls).
+        Usually, the smoothed controls are straight lines between the means of the controls over
+        each element. If `is_still` is true (the objective hardly changes from mesh to mesh any
+        more), they are polynomials of low degree in each element. These are clipped to the limits
+        of the controls. `fractions` are the times of the result as fractions of the horizon. The
+        result has shape (n_fractions, n_controls).
         """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
@@ -179,17 +178,18 @@ def damping_of(
     Damping is a penalty on the distance from the smoothed controls of the solution. It prevents
     controls from oscillating from point to point (chatter). A control is damped if it is bounded
     and enters the problem nearly linearly at one or more collocation points. It enters nearly
-    linearly where the second derivative of the Lagrangian with respect to the control is small. An
-    example is a cost with a smoothed corner: it has curvature at the corner, and is linear beside
-    it. The result can also hold a complementarity gap at which Ipopt is to stop.
+    linearly where the second derivative of the Lagrangian with respect to the control is small.
+    This may hold at some points only: a cost with a smoothed corner has curvature at the corner,
+    and is linear beside it. The result can also hold a complementarity gap at which Ipopt is to
+    stop.
 
     Parameters
     ----------
     solution : Solution
         Solution on the previous mesh.
     weight : float
-        Penalty on a control that differs by its whole range from the smoothed control, as a
-        fraction of the objective.
+        Size of the penalty. It is the penalty on a control that always differs from the smoothed
+        control by its whole range, as a fraction of the objective.
     gap : float, optional
         Complementarity gap at which Ipopt is to stop on the next mesh, as a fraction of the
         objective; zero for Ipopt's usual end. The gap is the sum over all limits of multiplier
@@ -201,7 +201,7 @@ def damping_of(
     Returns
     -------
     Damping or None
-        None if no control is to be damped and `gap` is zero.
+        None if neither a control is to be damped nor a gap is given.
     """
     lower, upper = solution.algebraic_limits
     width = upper - lower

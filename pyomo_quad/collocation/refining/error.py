@@ -34,15 +34,15 @@ if TYPE_CHECKING:
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     """Return how much the state errors of each element change the final states.
 
-    The controls are functions of time alone (open loop), so that no control corrects an error. The
-    linearised equations propagate the error from the end of the element to the end of the horizon.
+    The controls are functions of time alone (open loop), and do not correct the errors. The
+    linearised equations propagate each error from the end of its element to the end of the horizon.
 
     Parameters
     ----------
     solution : Solution
         The solution whose linearised equations propagate the errors to the end.
     errors : ndarray, shape (n_elements, n_states)
-        Errors of the states at each element's end that arise within the element.
+        Errors of the states that arise within each element, at the element's end.
 
     Returns
     -------
@@ -118,9 +118,9 @@ class Allowance:
     ----------
     control_breach : float
         Tolerable violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)). If a violation is larger, the control is clipped, and the effect of clipping on
-        states and objective counts as error. If it is smaller, the control is not clipped, and the
-        effect of the violation on the states counts as error.
+        abs(bound)). A control with a larger violation is clipped, and the effect of clipping on
+        states and objective counts as error. A control with a smaller violation keeps its values,
+        and the effect of the violation on the states counts as error.
     limit_breach : float
         Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If a
         violation is larger, the violation itself counts as error. If it is smaller, its effect on
@@ -133,8 +133,8 @@ class Allowance:
 
         A larger value suffices if a later simulation corrects the controls by feedback. The error
         of the states then changes the objective only to second order. With a larger value,
-        residuals of algebraic equations are tolerated up to ten times the value, because the
-        simulation solves these equations.
+        residuals of algebraic equations may be up to ten times the value, because the simulation
+        solves these equations itself.
     """
 
     control_breach: float = np.inf
@@ -149,8 +149,8 @@ class ErrorEstimate:
 
     The errors of the elements are compared with the tolerance, which applies to the whole horizon.
     Some kinds of error add up over the elements. They are therefore extrapolated to the whole
-    horizon: the error of an element is multiplied by the number of elements, but the product is at
-    most the sum of the errors of all elements.
+    horizon. The extrapolated error of an element is the smaller of two numbers: its error times the
+    number of elements, and the sum of the errors of all elements.
 
     Attributes
     ----------
@@ -163,16 +163,17 @@ class ErrorEstimate:
         Violation of path equations and bounds between the collocation points, relative to max(1,
         abs(bound)).
     objective : ndarray, shape (n_elements,)
-        Change of the objective by the state errors, from the costates. Extrapolated, and relative
-        to the nominal magnitude of the objective (`Solution.nominal_objective`).
+        Change of the objective that the state errors cause, computed with the costates.
+        Extrapolated, and relative to the nominal magnitude of the objective
+        (`Solution.nominal_objective`).
     switches : ndarray, shape (n_elements,)
         Possible cost of control switches at a wrong time inside an element. Extrapolated, and
-        relative to the objective itself, which may be smaller than its nominal magnitude. Zero
-        unless all other errors are below the tolerance.
+        relative to the objective itself, which may be smaller than its nominal magnitude. Computed
+        if all other errors are below the tolerance; otherwise zero.
     costs : ndarray, shape (n_elements,)
-        Twice the change of the objective in the attribute `objective`, but relative to the
-        objective itself, as in `switches`. The factor of two allows for the unknown error of the
-        controls. Zero unless all other errors are below the tolerance.
+        Twice the attribute `objective`, but relative to the objective itself, as in `switches`. The
+        factor of two allows for the unknown error of the controls. Computed if all other errors are
+        below the tolerance; otherwise zero.
     restraint : ndarray, shape (n_elements,)
         Cost of the bounds that are imposed between the collocation points. Extrapolated, and
         relative to the nominal magnitude of the objective. The cost may use up only half of the
@@ -182,8 +183,8 @@ class ErrorEstimate:
         error of the objective is relative to its nominal magnitude, and the error of an integral is
         relative to max(1, abs(integral)).
     miss : ndarray, shape (n_elements,)
-        Effect of the state errors on the final states. The final states have a tolerance of their
-        own. The effect is scaled so that it can be compared with the tolerance for all errors.
+        Effect of the state errors on the final states, which have a tolerance of their own. The
+        effect is scaled so that it can be compared with the tolerance for all errors.
     gap : float
         Complementarity gap that the barrier leaves, relative to the objective. A finer mesh does
         not reduce the gap.
@@ -223,9 +224,12 @@ class ErrorEstimate:
     def of_integrals(self) -> float:
         """Largest error of the objective and of the integrals, over all elements.
 
-        Three kinds of error count: the effect of state errors on the objective, the errors of the
-        quadrature, and an increase of the objective. The objective increases because bounds that
-        are imposed between the collocation points are stricter than the bounds of the problem.
+        Three kinds of error count:
+
+        - the effect of state errors on the objective;
+        - the errors of the quadrature;
+        - the increase of the objective by bounds that are imposed between the collocation points.
+          These are stricter than the bounds of the problem.
         """
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
@@ -234,8 +238,8 @@ class ErrorEstimate:
     def largest(self) -> float:
         """Largest error of the solution, which the refinement compares with the tolerance.
 
-        It is the largest error of any kind in any element, or the relative complementarity gap if
-        the gap is larger.
+        It is the larger of two numbers: the largest error of any kind in any element, and the
+        relative complementarity gap.
         """
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
@@ -248,10 +252,10 @@ def estimate_error(
     The class `ErrorEstimate` describes the kinds of error, such as the errors of the states and the
     violations of limits between the collocation points.
 
-    The errors of integrals are found by computing every integral again, by Gauss' rule on panels of
-    each element. Even if the polynomials satisfy the differential equations, the quadrature at the
-    collocation points may be inaccurate: the integrand may have a higher degree, or a corner
-    between the points.
+    To estimate the errors of integrals, every integral is computed again by Gauss' rule on panels
+    of each element. The quadrature at the collocation points may be inaccurate even if the
+    polynomials satisfy the differential equations. The integrand may have a higher degree, or a
+    corner between the points.
 
     Parameters
     ----------
@@ -259,10 +263,9 @@ def estimate_error(
         Solution on one mesh, whose errors between the collocation points are estimated.
     tolerance : float, optional
         Tolerance with which all errors will be compared. The errors of the states have their own
-        tolerances, `state_error` and `final_miss` of `allowance`. These errors are therefore
-        scaled, so that they can be compared with `tolerance`. The costs of misplaced control
-        switches count only if all other errors are below `tolerance`, so that coarse elements are
-        refined first.
+        tolerances, `state_error` and `final_miss` of `allowance`. They are scaled so that they can
+        be compared with `tolerance`. The costs of misplaced control switches count only if all
+        other errors are below `tolerance`. Coarse elements are thus refined first.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 
@@ -324,8 +327,8 @@ def _unit(solution: Solution) -> float:
     """Return the magnitude by which errors of the objective are divided to make them relative.
 
     The magnitude has the unit of the objective. It is the largest of three numbers: abs(objective),
-    min(1, s), and 1e-4 s. Here s is the inverse of the factor by which the nonlinear program scales
-    the objective. The last two numbers matter for an objective near zero.
+    min(1, s), and 1e-4 s. Here 1 / s is the factor by which the nonlinear program scales the
+    objective. The last two numbers avoid a division by nearly zero.
     """
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
@@ -376,7 +379,7 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return points and weights of a quadrature rule that is finer than the collocation points.
+    """Return points and weights of a finer quadrature rule than that of the collocation points.
 
     `degree` is the degree of the element. The element goes from 0 to 1, and is divided into four
     panels of equal width. Each panel has a Gauss rule with degree + 1 points. The element's right
@@ -391,7 +394,7 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 def densely_sampled(solution: Solution) -> _Samples:
     """Evaluate the path constraints of a solution at many times between the collocation points.
 
-    The samples show violations between the points, where the polynomials may have maxima. An
+    The polynomials may violate a limit between the points, and the samples show such violations. An
     element of a given degree has 4 (degree + 1) + 1 samples. The result holds the sampled variables
     and the values of the path constraints.
     """
@@ -402,8 +405,8 @@ def densely_sampled(solution: Solution) -> _Samples:
 def _dense_places(degree: int) -> FloatArray:
     """Return the places at which limits are checked in an element, as numbers from 0 to 1.
 
-    0 is the start of the element and 1 its end. The first place is just after the start, because
-    the start itself belongs to the previous element. `degree` is the degree of the element.
+    0 is the start of the element and 1 its end. The start itself belongs to the previous element.
+    The first place is therefore just after it. `degree` is the degree of the element.
     """
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
@@ -434,9 +437,9 @@ def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     points, such a variable has two different values: the value that solves the equation, and the
     value of the variable's polynomial.
 
-    `estimate_error` takes the value that solves the equation. Its estimate may be small although
-    the polynomial is inaccurate. This function takes the value of the polynomial. Its result
-    therefore also shows the inaccuracy of the polynomial.
+    `estimate_error` takes the value that solves the equation, and does not see an error of the
+    polynomial. This function takes the value of the polynomial, so that its result includes the
+    error of the polynomial.
 
     Returns
     -------
@@ -617,10 +620,9 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    The errors of the states at the element's end are multiplied by the costates there. The effect
-    is divided by the nominal magnitude of the objective. It is then extrapolated to the whole
-    horizon, as if all elements had the same effect: it is multiplied by the number of elements. The
-    result is at most the sum of the effects of all elements before this multiplication.
+    The effect of an element is the magnitude of the scalar product of the costates and the errors
+    of the states at the element's end. It is divided by the nominal magnitude of the objective. The
+    function `_of_all` then extrapolates it to the whole horizon.
 
     `moved` has one array per element from `_state_corrections`: the errors of the states, shape
     (degree + 1, n_states). The last row belongs to the element's end.
@@ -637,9 +639,8 @@ def _restraints(solution: Solution) -> FloatArray:
     """Return the cost of the bounds that are imposed between the collocation points.
 
     The cost is the increase of the objective by these bounds, divided by the nominal magnitude of
-    the objective. The result has one entry per element, shape (n_elements,), or is zero if no
-    bounds are imposed between the points. Each entry is extrapolated to the whole horizon: it is
-    multiplied by the number of elements, but is at most the sum over all elements.
+    the objective. The result has the shape (n_elements,). It is zero if no bounds are imposed
+    between the points. The function `_of_all` extrapolates each entry to the whole horizon.
 
     The cost may use up only half of the tolerance. It is therefore doubled, so that the result can
     be compared with the whole tolerance.
@@ -652,8 +653,8 @@ def _restraints(solution: Solution) -> FloatArray:
 def _of_all(shares: FloatArray) -> FloatArray:
     """Extrapolate the error of each element to the whole horizon, for errors that add up.
 
-    The result for an element is its error times the number of elements, but at most the sum of the
-    errors of all elements. It can be compared with the tolerance for the whole horizon.
+    The extrapolated error of an element is ``min(n * error, sum of the errors of all elements)``,
+    where n is the number of elements. It can be compared with the tolerance for the whole horizon.
 
     `shares` are the errors of the elements, with one entry per element along the first axis. The
     result has the shape of `shares`.
@@ -665,10 +666,10 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
     The quadrature error is the difference between the quadrature at the collocation points and a
-    finer quadrature. The objective and all integrals are considered. The error of the objective is
-    divided by the nominal magnitude of the objective, and the error of an integral by max(1,
-    abs(integral)). Each error is extrapolated to the whole horizon: it is multiplied by the number
-    of elements, but is at most the sum over all elements.
+    finer quadrature. It is computed for the objective and for all integrals. The error of the
+    objective is divided by the nominal magnitude of the objective, and the error of an integral by
+    max(1, abs(integral)). Each error is extrapolated to the whole horizon by the function
+    `_of_all`.
 
     `solution` is the solution on one mesh. `samples` has the integrands at the points of the finer
     quadrature: a Gauss rule on four panels of each element, from the function `_panelled`.
@@ -695,8 +696,8 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
     `samples` has the variables of a solution at the sample times. `program` is the nonlinear
     program of the solution. An integrand may be undefined where a variable is outside its limits.
-    If any value is not finite, all integrands are therefore evaluated again with the variables
-    clipped to their limits. A value that is still undefined is returned as infinite.
+    If any value is not finite, all integrands are evaluated again, with the variables clipped to
+    their limits. A value that is then still undefined is returned as infinite.
     """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
@@ -715,9 +716,10 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
     """Return the part of the error of the final states that is assigned to each element.
 
-    The mesh refinement refines the elements with large parts. Only the final state with the largest
-    relative error counts. The element that contributes most to this error is assigned the whole
-    error. Any other element is assigned a smaller part, in proportion to its contribution.
+    Only the final state with the largest relative error counts. Each element contributes to this
+    error. The part of an element is ``error * contribution / largest contribution``. The element
+    with the largest contribution is thus assigned the whole error. The mesh refinement refines the
+    elements with large parts.
 
     Parameters
     ----------
@@ -747,13 +749,13 @@ def _breaches(
 
     Violations of different kinds are measured differently:
 
-    - An equation is measured by its relative residual, times `weight`.
-    - A limit on controls alone is measured by the change of the states within the element that the
-      violation causes. The change is estimated as the violation times the width of the element.
-    - Any other limit is measured by the effect of the violation on the objective. The effect is
-      estimated from the multipliers of the bounds on states.
+    - Equation: its relative residual, times `weight`.
+    - Limit on controls alone: the resulting change of the states within the element. It is
+      estimated as the violation times the width of the element.
+    - Any other limit: the effect of the violation on the objective. It is estimated from the
+      multipliers of the bounds on states.
 
-    A limit that is violated by more than its tolerance is measured by the violation itself.
+    If a limit is violated by more than its tolerance, the violation itself is the measure.
 
     Parameters
     ----------
@@ -766,8 +768,8 @@ def _breaches(
         limits.
     weight : float
         Factor on the relative residuals of equations. It is 1 if `allowance` has no tolerance on
-        the states. Otherwise a larger tolerance gives a smaller factor, which allows larger
-        residuals.
+        the states. Otherwise, the factor is smaller for a larger tolerance on the states, which
+        allows larger residuals.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -784,9 +786,9 @@ def _breaches(
 def _prices(solution: Solution) -> FloatArray:
     """Return for each element the sum of the multipliers of all bounds on states.
 
-    A multiplier is the change of the objective per unit of a bound. The sum times the violation of
-    a limit is therefore an estimate of the effect on the objective. The result has shape
-    (n_elements,).
+    A multiplier is the change of the objective per unit of a bound. The product of the sum and the
+    violation of a limit therefore estimates the effect of the violation on the objective. The
+    result has shape (n_elements,).
     """
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]

@@ -1,4 +1,4 @@
-"""Tests of a solution by Pontryagin's principle: better controls, and flat optima.
+"""Tests of a solution by Pontryagin's principle: better controls, and singular arcs.
 
 Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
 
@@ -9,9 +9,10 @@ at a certain time. On the first mesh the solve may place this switch at a wrong 
 then stays there on all finer meshes. Mesh refinement does not reveal the error, but Pontryagin's
 principle does.
 
-On a singular arc the objective is flat about its optimum: it hardly depends on the states. The
-states may then be inaccurate although the error of the objective is small. The inaccuracy of the
-states is estimated from the order of the singular arc.
+On a singular arc, the second derivative of the Hamiltonian with respect to the control is zero. The
+objective then changes only with a high power of a deviation from the optimal states. The states may
+therefore be inaccurate although the error of the objective is small. Their inaccuracy is estimated
+from the order of the singular arc.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _KEPT = 1e-9
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     """Return a solution with controls that minimise the Hamiltonian, if they gain enough.
 
-    Only one control is changed at each collocation point. States and costates are unchanged. The
+    At each collocation point, only one control is changed. States and costates are unchanged. The
     gain is the decrease of the Hamiltonian, integrated over the horizon.
 
     Parameters
@@ -62,7 +63,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     Returns
     -------
     Solution or None
-        Initial point for another solve; None if no other control gains enough.
+        Initial point for another solve; None if the gain is too small.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -109,9 +110,9 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    The first trial values are a grid between the bounds of the control. Further trial values follow
-    where the Hamiltonian at a value of the grid is not larger than at both neighbouring values: the
-    minimum of the parabola through these three values of the Hamiltonian. The function
+    The first trial values form a grid between the bounds of the control. The Hamiltonian may have a
+    local minimum on the grid. A parabola is then put through its values at the minimum and at both
+    neighbours. The lowest point of the parabola is a further trial value. The function
     `improved_controls` looks for the least Hamiltonian among all trial values.
 
     Parameters
@@ -148,13 +149,13 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     therefore be changed alone.
 
     Between two minima, the second derivative of the Hamiltonian with respect to the control is
-    somewhere negative. The second derivative is evaluated at all collocation points, for several
-    values between the bounds of the control. A control is included if any of these second
-    derivatives is negative.
+    negative for some values of the control. The second derivative is evaluated at all collocation
+    points, for several values between the bounds of the control. A control is included if any of
+    these second derivatives is negative.
 
     A control is also included if an equation contains a product of a rate (time derivative of a
-    state) and a function of the control. For such a control the sign of the second derivative
-    shows nothing, because the second derivative is computed with constant rates.
+    state) and a function of the control. The computed second derivative is not meaningful for such
+    a control, because it holds the rates constant.
 
     Parameters
     ----------
@@ -208,9 +209,9 @@ def _free_controls(
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     """Return the Hamiltonian at the collocation points, up to a constant at each point.
 
-    The constant is a term that does not depend on the controls. The result therefore serves to
-    compare different controls at a point. It has shape (n_points,), and is infinite at points at
-    which a path inequality is violated or the Hamiltonian is undefined.
+    The constant does not depend on the controls, so that the result serves to compare different
+    controls at a point. The result has shape (n_points,). It is infinite at points at which a path
+    inequality is violated or the Hamiltonian is undefined.
 
     `variables` holds rates (derivatives of the states), states, algebraic variables and static
     variables (without time), one row per collocation point. `solution` gives the costates.
@@ -257,19 +258,19 @@ def state_error(
     - The largest estimated error of the solution.
     - The errors of a state, added over all elements and doubled. The factor of two allows for the
       unknown error of the controls.
-    - With a singular arc: c e^p, where e is the largest estimated error, or `change` if `change` is
-      larger. For a singular arc of order 1, c = 4 and p = 1/2; for a higher order, c = 1 and p =
-      1/5. On a singular arc the objective hardly depends on the states. A small error e of the
-      objective therefore permits the larger error c e^p of the states.
+    - With a singular arc: ``c * e**p``, where e is the larger of two numbers: the largest estimated
+      error, and `change`. For a singular arc of order 1, c = 4 and p = 1/2; for a higher order, c =
+      1 and p = 1/5. On a singular arc, a small error e of the objective is compatible with this
+      larger error of the states.
 
-    The argument `before` is given if limits become active or inactive inside elements. The times of
-    these changes are then inaccurate, because they depend on the mesh. In this case three more
+    Limits may become active or inactive inside elements. The times of these changes depend on the
+    mesh, and are inaccurate. In this case the argument `before` is given, and up to three more
     numbers count:
 
     - The largest relative violation of a limit on states or rates between the collocation points.
-    - The possible error of the states because a control jumps at a wrong time. It is computed for
-      elements with a single collocation point, which the refinement cuts around the jumps of
-      controls: the true time of the jump may be anywhere in the element.
+    - The error of the states if a control jumps at a wrong time. The refinement encloses the jump
+      of a control in an element with a single collocation point. The true jump may be anywhere in
+      this element.
     - Without a singular arc: the change of the states since the previous mesh.
 
     Parameters
@@ -315,13 +316,13 @@ def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc: 0 without singular arc, 1, or 2 for order 2 and higher.
 
     On a singular arc a control lies between its limits, and the second derivative of the
-    Hamiltonian with respect to the control is zero. In this derivative the states are constant. The
-    rates (derivatives of the states) and the other algebraic variables change with the control in
-    such a way that all equations stay satisfied.
+    Hamiltonian with respect to the control is zero. For this derivative, the states are held
+    constant. The rates (derivatives of the states) and the other algebraic variables change with
+    the control, so that all equations stay satisfied.
 
-    A change of the control changes the rates, and so drives the states in a direction. The arc is
-    of order 1 if the second derivative of the Hamiltonian in this direction is not zero (Robbins
-    1967; Kelley, Kopp and Moyer 1967).
+    A change of the control changes the rates, which then move the states in a certain direction.
+    The arc is of order 1 if the second derivative of the Hamiltonian along this direction of the
+    states is not zero (Robbins 1967; Kelley, Kopp and Moyer 1967).
 
     Two kinds of collocation points are not examined:
 
@@ -379,9 +380,11 @@ def _barriers(solution: Solution) -> FloatArray:
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
     """Return whether a control may be singular at each collocation point, shape (n_points,).
 
-    A control may be singular at a point where no path inequality and no bound of a state is active.
-    Elements with a single collocation point are excluded, because the refinement cuts such elements
-    around jumps of controls.
+    The result is True at a point if both of these hold:
+
+    - No path inequality and no bound of a state is active at the point.
+    - Its element has more than one collocation point. (The refinement cuts elements with a single
+      point around jumps of controls.)
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics
@@ -398,8 +401,8 @@ def _free_directions(
     """Return a basis of the changes of rates and controls that keep all equations satisfied.
 
     Rates are the derivatives of the states with respect to the fraction of the horizon. At each
-    collocation point, the states are held, and the rates and algebraic variables change. To first
-    order, the changes that keep the equations satisfied form a linear space, the null space of the
+    collocation point, the states are held constant, and the rates and algebraic variables may
+    change. To first order, the changes that keep the equations satisfied form the null space of the
     equations' Jacobian. `singular_order` evaluates the curvature of the Hamiltonian in this space.
 
     Parameters

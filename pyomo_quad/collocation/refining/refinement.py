@@ -69,18 +69,20 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    A second condition applies if limits become active or inactive inside an element, or if controls
-    are damped: the objective must have changed by at most half the tolerance since the previous
-    mesh. Controls are damped if the objective contains a penalty on their distance from the
-    smoothed controls of the previous mesh.
+    The refinement ends when the error estimate is at most the tolerance. In two cases, the
+    objective must also have changed by at most half the tolerance since the previous mesh:
+
+    - Limits become active or inactive inside an element.
+    - Controls are damped: the objective contains a penalty on the distance between the controls and
+      the smoothed controls of the previous mesh.
 
     Parameters
     ----------
     solve : callable
         (meshes, start, dampings, change=, iteration_limit=) -> solution. `meshes` has one mesh for
-        each horizon. `dampings` has the penalty on the distance of controls for each horizon, None
-        without penalty. `start` is the guess or warm start. `change` is the expected change of the
-        objective, None if it is unknown. `iteration_limit` is the largest number of Ipopt's
+        each horizon. `dampings` has the penalty on the controls for each horizon, None for a
+        horizon without penalty. `start` is the guess or warm start. `change` is the expected change
+        of the objective, None if unknown. `iteration_limit` is the largest number of Ipopt's
         iterations.
     meshes : tuple of Mesh
         Initial meshes, one for each horizon.
@@ -97,9 +99,10 @@ def refine(
     -------
     Solution or JointSolution
         Usually the last solution. If Pontryagin's principle shows better controls, the refinement
-        is restarted from these controls; if the restart gives no better solution, the solution from
-        before the restart is returned. The status is `converged`, or `tolerance_not_met` with the
-        reason in the message, or the status of the solve that failed.
+        starts again from these controls. If this restart leads to no better solution, the solution
+        from before the restart is returned. The status is `converged`, `tolerance_not_met`, or the
+        status of the last solve if that failed or was interrupted. For `tolerance_not_met`, the
+        message gives the reason.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -116,10 +119,10 @@ def refine(
 class _Refinement(Generic[S]):
     """Mesh refinement in progress: the next meshes with their start, and the previous results.
 
-    The function `refine` creates an object of this class. It calls `with_next_meshes` until the
+    The function `refine` creates an object of this class, and calls `with_next_meshes` until the
     refinement ends. Damping of controls is a penalty on their distance from the smoothed controls
-    of the previous mesh. The refinement is restarted if Pontryagin's principle shows that other
-    controls are better.
+    of the previous mesh. The refinement is restarted from other controls if these are better by
+    Pontryagin's principle.
 
     Attributes
     ----------
@@ -146,7 +149,8 @@ class _Refinement(Generic[S]):
     firmness : float
         Factor on the strength of the damping.
     settled : int
-        Number of meshes with damping on which the objective changed by at most half the tolerance.
+        Number of meshes with damping on which the objective hardly changed: by at most half the
+        tolerance since the previous mesh.
     restarts : int
         Number of restarts from controls that are better by Pontryagin's principle.
     reached : _Reached, optional
@@ -231,7 +235,7 @@ class _Refinement(Generic[S]):
         tuple of ErrorEstimate
             One for each horizon.
         bool
-            Whether the solve failed. An interrupted solve has neither converged nor failed.
+            Whether the solve failed; False for a solve that was interrupted.
         """
         change = self._expected_change()
         search = _MeshSolve(self.solve, self.meshes, self.start, self.dampings, change, self.gap)
@@ -258,13 +262,13 @@ class _Refinement(Generic[S]):
     def _restarted(self, accepted: S) -> S | None:
         """Restart the refinement if controls exist that are better by Pontryagin's principle.
 
-        `accepted` is the solution within tolerance on the present meshes. The result is None if the
-        refinement was restarted. Otherwise it is the final solution: `accepted`, or the solution
-        before the previous restart if that is better.
+        `accepted` is the present solution, which meets the tolerance. The result is None if the
+        refinement was restarted. Otherwise the result is the final solution: the better of
+        `accepted` and the solution before the previous restart.
 
-        If the previous restart improved the objective by no more than the tolerance, no further
-        restart follows. Without this rule, the restarts might not end for a singular control: its
-        Hamiltonian is so flat that rounding errors alone make other controls appear better.
+        A further restart requires that the previous restart improved the objective by more than the
+        tolerance. This rule makes the restarts end. It is needed for singular controls: their
+        Hamiltonian is so flat that rounding errors can make other controls appear better.
         """
         if self.reached is not None and self.reached.gain(accepted) <= self.tolerance:
             return self.reached.better(accepted)
@@ -291,20 +295,22 @@ class _Refinement(Generic[S]):
     ) -> None:
         """Prepare the next solve of the refinement, after a solution that is not accurate enough.
 
-        Warm start, meshes and damping of the next solve are stored in this object. Damping is a
-        penalty on the distance between controls and the smoothed controls of the present solution.
-        It acts on controls that enter linearly. The penalty is increased if the present solve with
-        damping took many iterations, or if the objective has hardly changed on several meshes with
-        damping.
+        The method stores warm start, meshes and damping of the next solve in this object. Damping
+        is a penalty on the distance between the controls and the smoothed controls of the present
+        solution. Only controls that enter linearly are penalised. The penalty is increased in two
+        cases:
+
+        - The present solve had damping and took many iterations.
+        - The objective has hardly changed on several meshes with damping.
 
         Parameters
         ----------
         solution : Solution or JointSolution
             Solution on the present meshes, from which the next solve starts.
         errors : tuple of ErrorEstimate
-            Estimated errors of `solution`, one for each horizon. They may determine the
-            complementarity gap of the next solve (the error that Ipopt's barrier leaves in the
-            objective).
+            Estimated errors of `solution`, one for each horizon. With the option `limits_move`,
+            they determine the complementarity gap at which the next solve may stop. The gap is the
+            error that Ipopt's barrier leaves in the objective.
         finer : tuple of Mesh
             The next meshes, one for each horizon.
         is_damped : bool
@@ -340,9 +346,9 @@ class _Refinement(Generic[S]):
         """Return for each horizon the damping of the controls towards a given solution.
 
         Damping is a penalty on the distance from the smoothed controls of the solution. `parts` has
-        the solution on each horizon. `how` has keyword arguments of the function `damping_of`:
-        `gap`, the complementarity gap that the next solve leaves, and `is_still`, whether the
-        objective hardly changes any more.
+        the solution on each horizon. `how` has two optional arguments of the function `damping_of`.
+        The first, `gap`, is the complementarity gap at which the next solve may stop. The second,
+        `is_still`, is true if the objective has stopped changing from mesh to mesh.
         """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
@@ -351,15 +357,13 @@ class _Refinement(Generic[S]):
         """Estimate the errors of a solution, and reduce its complementarity gap if necessary.
 
         The gap is the error that Ipopt's barrier leaves in the objective. `solved` is a solution on
-        the present meshes. If the barrier, not the mesh, limits the accuracy of `solved`, the solve
-        is continued until the gap is smaller. The result is then the new solution with its
-        estimated errors. Otherwise the result is `solved` with its estimated errors.
-
-        The errors in the result have one item for each horizon.
+        the present meshes. If the gap, not the mesh, limits the accuracy of `solved`, the solve is
+        continued until the gap is smaller. The result is the new solution if the solve was
+        continued, and `solved` otherwise, with the estimated errors for each horizon.
 
         A solve with damping (penalty on changes of the controls since the previous mesh) may stop
-        at a large gap on purpose; later solves on finer meshes reduce the gap. Such a gap is
-        reduced on the present mesh only if all other errors meet the tolerance.
+        at a large gap on purpose: later solves on finer meshes reduce the gap. The gap of such a
+        solve is reduced here only if all other errors meet the tolerance.
         """
         errors = self._errors(solved)
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
@@ -372,11 +376,9 @@ class _Refinement(Generic[S]):
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
         """Return the error estimate of a solution on each horizon.
 
-        With several horizons, the complementarity gap is set to 0 in each estimate, because the gap
-        is a property of all horizons together. The gap is the error that Ipopt's barrier leaves in
-        the objective.
-
-        `solution` is a solution for all horizons.
+        `solution` is a solution for all horizons. An error estimate contains the complementarity
+        gap: the error that Ipopt's barrier leaves in the objective. With several horizons, the gap
+        is set to 0 in each estimate, because it cannot be attributed to a single horizon.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
@@ -389,8 +391,8 @@ class _Refinement(Generic[S]):
         states, relative to the magnitudes of the states. The attribute is the largest state error
         of all horizons.
 
-        `solution` is the solution to be copied. `errors` has its error estimates, one for each
-        horizon. The state errors are computed from these estimates.
+        `errors` has the error estimates of `solution`, one for each horizon. The state errors are
+        computed from these estimates.
         """
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
@@ -406,16 +408,15 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        The refinement may end if two conditions hold. First, all errors meet the tolerance. Second,
-        the relative change of the objective since the previous mesh is at most half the tolerance.
+        The refinement may end only if all errors meet the tolerance. In addition, one of these
+        conditions must hold:
 
-        The second condition applies only if limits become active or inactive in or beside elements,
-        or if controls are damped. Damping is a penalty on the distance of controls from the
-        controls of the previous mesh. The second condition is dropped in two cases:
-
+        - The objective has settled: its relative change since the previous mesh is at most half the
+          tolerance.
+        - No limit becomes active or inactive in or beside an element, and no controls are damped.
+          Damping is a penalty on changes of the controls since the previous mesh.
         - A later simulation corrects the controls by feedback.
-        - No controls are damped, and the refinement would not change the meshes. With damping, the
-          problem may be solved again on unchanged meshes.
+        - The next meshes equal the present meshes, and no controls are damped.
 
         Parameters
         ----------
@@ -459,8 +460,8 @@ class _Refinement(Generic[S]):
     def _given_up(self, solution: S, error: float) -> S:
         """Return a solution whose status and message state that the tolerance was not met.
 
-        `solution` is the last solution, and `error` is its estimated error. The message gives the
-        reason why the refinement stops, and advice.
+        `solution` is the last solution, and `error` is its estimated error. The message says why
+        the refinement stops, and advises the user.
         """
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
@@ -481,9 +482,9 @@ class _Refinement(Generic[S]):
     def _shown(self, solution: S) -> S:
         """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
 
-        `solution` is the solution on the present meshes. If it has not converged, it is returned
-        without a call. If the callback returns False, the returned solution has the status
-        interrupted.
+        `solution` is the solution on the present meshes. If the callback returns False, the
+        returned solution has the status interrupted. A solution that has not converged is returned
+        without a call of the callback.
         """
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
@@ -506,14 +507,14 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The complementarity gap is the amount by which Ipopt's barrier changes the objective, here
-        divided by the objective. The result is 0.3 e, but at least 0.2 times the tolerance and at
-        most 1e-3. Here e is the estimated relative error of objective and integrals. If bounds are
+        The gap is the amount by which Ipopt's barrier changes the objective, divided by the
+        objective. It need not be much smaller than the present error e, because the times at which
+        limits become active still change from mesh to mesh. The result is 0.3 e, limited to the
+        range from 0.2 tolerance to 1e-3.
+
+        The error e is the estimated relative error of objective and integrals. If bounds are
         imposed between the collocation points, e is at least the relative change of the objective
         since the previous mesh.
-
-        A smaller gap is not useful while the times at which limits become active still change from
-        mesh to mesh.
 
         `solution` is the solution on the present meshes. `errors` has its estimated errors, one
         item for each horizon.
@@ -529,12 +530,11 @@ def _firmer(firmness: float, settled: int) -> float:
     """Return the increased factor on the strength of the damping.
 
     Damping is a penalty that keeps the controls near the controls of the previous mesh. `firmness`
-    is the present factor on the penalty. `settled` is the number of meshes on which the objective
-    hardly changed.
+    is the present factor on the penalty. `settled` is the number of meshes with damping on which
+    the objective hardly changed.
 
-    The result is 5 times `firmness`, up to an upper limit. The upper limit depends on `settled`: it
-    is 25 for 0 to 3 meshes, 125 for 4 to 7 meshes, and infinite for 8 or more meshes. If `firmness`
-    already exceeds the upper limit, the result is `firmness`.
+    The result is max(firmness, min(5 firmness, most)). The upper limit `most` is 25 for 0 to 3
+    settled meshes, 125 for 4 to 7, and infinite for 8 or more.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -568,9 +568,9 @@ class _MeshSolve(Search[S], Generic[S]):
         Expected change of the objective from the previous meshes to the next; None if the change is
         unknown.
     gap : float
-        Complementarity gap that is permitted at the end of a solve with increased damping, relative
-        to the objective. The gap is the error that Ipopt's barrier leaves in the objective. Damping
-        is increased if an earlier strategy has failed.
+        Complementarity gap at which a solve with increased damping may stop, relative to the
+        objective. The gap is the error that Ipopt's barrier leaves in the objective. One of the
+        strategies, tried after a failure, increases the damping.
     """
 
     solve: Callable[..., S]
@@ -625,12 +625,11 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings with which the next solve leaves at most a small complementarity gap.
+    """Return dampings with a smaller complementarity gap, for a more accurate solve.
 
-    A damping is a penalty on changes of the controls from the previous mesh. It also prescribes the
-    complementarity gap at which the solve may stop. The gap is the error that Ipopt's barrier
-    leaves in the objective. In the result, each gap is at most a fixed fraction of `tolerance`
-    times the magnitude of the objective.
+    A damping is a penalty on changes of the controls from the previous mesh. It also holds the gap
+    at which the solve may stop. The gap is the error that Ipopt's barrier leaves in the objective.
+    In the result, each gap is at most 0.2 times `tolerance` times the magnitude of the objective.
 
     `dampings` and the result have one item for each horizon, None for a horizon without damping.
     """
@@ -653,15 +652,14 @@ def _is_limited_by_the_barrier(
 ) -> bool:
     """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
 
-    The result is true if three conditions hold:
+    The result is true if all of these conditions hold:
 
     - The solution has converged.
-    - The error of every element is at most `fine`. The attributes `switches` and `costs` of the
-      error estimate are not counted, because they are estimated only if all other errors meet the
-      tolerance.
-    - The relative complementarity gap (the amount by which Ipopt's barrier changes the objective)
-      exceeds `tolerance`, or the scaled objective is too small to influence Ipopt's convergence
-      test.
+    - The error of every element is at most `fine`. Of the error estimate, the attributes `switches`
+      and `costs` are left out: they are estimated only if all other errors meet the tolerance.
+    - The relative complementarity gap exceeds `tolerance`, or the scaled objective is too small to
+      influence Ipopt's convergence test. The gap is the amount by which Ipopt's barrier changes the
+      objective.
 
     Parameters
     ----------
@@ -695,14 +693,12 @@ class _Reached(Generic[S]):
         The kept solution, found before the restart.
     shown : float, optional
         Lower bound on the improvement of the objective by the restart, relative to the nominal
-        magnitude of the objective. Each solution after the restart gives one lower bound: its
-        relative improvement of the objective over the kept solution, minus its estimated relative
-        error. `shown` is the largest of these lower bounds, or None if there is no solution after
-        the restart yet.
+        magnitude of the objective. It is the largest value of (relative improvement over the kept
+        solution) - (estimated relative error) over all solutions since the restart. None if there
+        is no solution since the restart.
     earned : float
-        Relative improvement of the objective by the previous restart. The solution that was kept at
-        the previous restart is compared with `solution`, which was found after it. `earned` is 0 if
-        there was no previous restart.
+        Relative improvement of the objective by the previous restart, from the solution kept at
+        that restart to `solution`. 0 if this is the first restart.
     """
 
     solution: S
@@ -712,8 +708,8 @@ class _Reached(Generic[S]):
     def gain(self, other: S) -> float:
         """Return the relative improvement of the objective from the kept solution to another one.
 
-        `other` is the other solution, found after the restart. The improvement is relative to the
-        nominal magnitude of the objective, and negative if `other` is worse than the kept solution.
+        `other` is a solution found after the restart. The improvement is divided by the nominal
+        magnitude of the objective. It is negative if `other` is worse than the kept solution.
         """
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
@@ -724,9 +720,7 @@ class _Reached(Generic[S]):
         """Update `shown`, the lower bound on the improvement by the restart, with a new solution.
 
         `other` is the new solution, found after the restart, and `error` is its estimated relative
-        error. The new solution gives a lower bound: its relative improvement of the objective over
-        the kept solution, minus `error`. If this lower bound is larger than `shown`, it becomes the
-        value of `shown`.
+        error. The new value of `shown` is max(shown, gain(other) - error).
         """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
@@ -734,9 +728,8 @@ class _Reached(Generic[S]):
     def better(self, other: S) -> S:
         """Return the kept solution or `other`, whichever has the better objective.
 
-        `other` is a solution found after the restart. It is returned if the objectives are equal.
-        The kept solution is returned as a copy with the history of `other`, because only that
-        history records all meshes.
+        `other` is a solution found after the restart; it is returned if the objectives are equal.
+        If the kept solution is returned, it gets the history of `other`, which records all meshes.
         """
         if self.gain(other) >= 0.0:
             return other
@@ -746,14 +739,14 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    The refinement is restarted from other controls if Pontryagin's principle shows that they
-    improve the objective. Without a restart, the result is the last solution. After a restart, the
-    result is the solution from before the restart, which met the tolerance.
+    Without a restart, the result is `ended`, the last solution. After a restart, the result is the
+    solution from before the restart, which met the tolerance.
 
-    After a restart, the status and message of the result are usually changed to state that better
-    controls exist. They are unchanged if solutions were found after the restart, but none of them
-    is better than the solution from before the restart. A solution is better if its relative
-    improvement of the objective, minus its estimated error, exceeds the tolerance.
+    The refinement is restarted if other controls improve the objective by Pontryagin's principle.
+    The solutions after the restart may confirm or refute this improvement. It is refuted if none of
+    them improves the objective by more than its own error plus the tolerance. The result then keeps
+    its status and message. Otherwise, or if no solution followed the restart, its status and
+    message state that better controls exist.
 
     Parameters
     ----------
@@ -774,12 +767,11 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 def _cut_off(reached: _Reached[S]) -> S:
     """Return the result of a refinement that has to stop after a restart.
 
-    A restart begins the refinement again from better controls. The refinement has to stop if, for
-    example, the allowed number of meshes is used up before the tolerance is met again. The result
-    is the solution in `reached`, which met the tolerance before the restart. Its status and message
-    are changed to state that better controls exist. Its estimated error becomes the larger of two
-    numbers: its present value, and the relative improvement by an earlier restart
-    (`reached.earned`).
+    A restart begins the refinement again from better controls. The refinement may then have to stop
+    before it meets the tolerance again, for example at the largest number of meshes. The result is
+    the solution from before the restart, with a status and message which state that better controls
+    exist. Its estimated error is raised to the improvement by the previous restart,
+    `reached.earned`, if that is larger.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -788,8 +780,8 @@ def _cut_off(reached: _Reached[S]) -> S:
 def _doubted(solution: S) -> S:
     """Return a copy of a solution whose status and message state that better controls exist.
 
-    By Pontryagin's principle, other controls improve the objective. The refinement has not found an
-    optimum with these controls.
+    By Pontryagin's principle, other controls improve the objective, but the refinement has found no
+    optimum from them.
     """
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
@@ -809,14 +801,14 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the least relative change of the objective from earlier meshes to the last mesh.
 
-    The objective on the last mesh is compared with the objective on the mesh before it, and with
-    the objective on each earlier mesh that met the tolerance. The smallest change is returned. The
-    mesh before the last is not enough for the comparison: it need not have met the tolerance, and
-    its objective may then be inaccurate. The result is infinite on the first mesh.
+    The last objective is compared with the objective on the mesh before it, and on each earlier
+    mesh that met the tolerance. The smallest change is returned. The earlier meshes are included
+    because the objective on the mesh before the last may be inaccurate. The result is infinite on
+    the first mesh.
 
     `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
-    is at most `tolerance`. The change is divided by a reference magnitude of the objective, the
-    property `nominal_objective` of `solution`.
+    is at most `tolerance`. The change is divided by `solution.nominal_objective`, a reference
+    magnitude of the objective.
     """
     *before, now = solution.history
     accepted = [record for record in before[:-1] if record.error <= tolerance]
@@ -827,9 +819,9 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
     """Return whether refinement should stop because the last two solves gained too little.
 
-    The result is True if each of the last two solves took more than 150 iterations, and the last
-    solve did not halve the estimated error. It is False before the third solve. `records` has one
-    record per mesh solved so far, in order.
+    The result is True if each of the last two solves took more than 150 iterations, and the
+    estimated error remained above half of its previous value. It is False before the third solve.
+    `records` has one record per mesh solved so far, in order.
     """
     if len(records) < 3:
         return False
@@ -839,12 +831,12 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 
 
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
-    """Return a phrase, for a message, on the control that changed most since the previous mesh.
+    """Return a phrase on the control that changed most since the previous mesh, for a message.
 
-    The phrase gives the name of the control, and the time and size of its largest change. The
-    phrase is empty if there is no control, or no solution to compare with. `solution` is the
-    present solution. `before` has one item for each horizon: the solution on the previous mesh, or
-    None on the first mesh and directly after a restart.
+    The phrase gives the name of the control, and the time and size of its largest change. It is
+    empty if there is no control, or no solution to compare with. `solution` is the present
+    solution. `before` has one item for each horizon: the solution on the previous mesh, or None on
+    the first mesh and directly after a restart.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

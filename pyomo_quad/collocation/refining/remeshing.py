@@ -36,35 +36,34 @@ class RefinementOptions:
     min_degree, max_degree : int
         Lowest degree to which an element's degree is lowered, and highest to which it is raised.
     smooth_decay : float
-        Least decay rate of the solution's Legendre coefficients in an element, in decades per
-        degree, at which the solution counts as smooth there. If the solution is smooth, the degree
-        of the element is raised; otherwise the element is split.
+        Least decay rate of the Legendre coefficients of a smooth solution, in decades per degree.
+        If the coefficients in an element decay at least as fast, its degree is raised; otherwise
+        the element is split.
     smallest_width : float
         Fraction of the horizon below which no element is split.
     max_points : int
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        Tolerances of a flight that applies the controls without feedback. There are tolerances on
-        violations of limits between the collocation points, on the deviation of the final states,
-        and on the error of the states between the points.
+        Tolerances of a flight that applies the controls without feedback: on violations of limits
+        between the collocation points, on the deviation of the final states, and on the error of
+        the states between the points.
     damping : float
         Strength of the penalty on changes of the controls since the previous mesh. Only controls
-        that enter linearly are penalised. If a control changes by its whole range, the penalty is
-        `damping` times the tolerance of the refinement times the objective.
+        that enter linearly are penalised. A change of one control by its whole range costs
+        `damping` * tolerance * objective.
     limits_move : bool
         Whether the caller expects many junctions: times at which a limit becomes active or
-        inactive. If there are many junctions, most of them hardly affect the objective. If the
-        option is true, elements are split at junctions only after all errors meet the tolerance of
-        the refinement, and each solve reduces the complementarity gap (the error that Ipopt's
+        inactive. Of many junctions, most hardly affect the objective. If the option is true, the
+        refinement saves effort in two ways. It splits elements at junctions only after all errors
+        meet the tolerance. Each solve reduces the complementarity gap (the error that Ipopt's
         barrier leaves in the objective) only to a fraction of the error on the previous mesh.
     on_mesh : callable, optional
         Called after each finished mesh with the solution, which includes error estimate and
         history. If the function returns False, the refinement is interrupted. The result is then
         the solution on the most accurate mesh.
     known : Solution, optional
-        Converged solution for the same parameters. If it is also the warm start of the solve, and
-        its mesh is the first mesh, the refinement continues from it and does not solve on the first
-        mesh again.
+        Converged solution for the same parameters. It replaces the solve on the first mesh, if that
+        mesh is the mesh of `known` and there is a warm start.
     """
 
     first_elements: int = 10
@@ -86,16 +85,17 @@ class RefinementOptions:
         """Largest relative violation of a bound that is allowed between the collocation points.
 
         The violation is relative to max(1, abs(bound)). Solves with a warm start impose the bounds
-        between the points as well, up to this violation. If the value is infinite, bounds are
-        imposed at the points only.
+        between the points too, with this tolerance. If the value is infinite, bounds are imposed at
+        the points only.
 
-        The value is finite if three conditions hold:
+        If all of the following conditions hold, the value is half of the smaller tolerance in
+        `allowance` on violations of limits. Otherwise the value is infinite.
 
         - `limits_move` is true.
-        - `allowance` tolerates violations both of control bounds and of other limits.
-        - `allowance` has no tolerance on the error of the states. Such a tolerance means that a
-          later simulation corrects the controls by feedback. The simulation then reveals violations
-          between the points, so that no bounds are needed there.
+        - `allowance` has positive tolerances on violations of control bounds and of other limits.
+        - The tolerance on the error of the states, `allowance.state_error`, is None. If it has a
+          value, a later simulation corrects the controls by feedback and reveals violations between
+          the points. Bounds between the points are then superfluous.
         """
         if self.allowance.state_error is not None:
             return math.inf
@@ -106,8 +106,8 @@ class RefinementOptions:
     def is_checked(self) -> bool:
         """Whether a simulation of the controls will check the result.
 
-        The value is True if at least one tolerance in `allowance` differs from its default, because
-        these tolerances refer to such a simulation.
+        The tolerances in `allowance` refer to such a simulation. The value is therefore True if at
+        least one of them differs from its default.
         """
         return self.allowance != Allowance()
 
@@ -165,11 +165,11 @@ class _Piece:
     degree : int
         Degree of the element's polynomials.
     error : float
-        Error of the element of the present mesh from which this element was made; for a merged
-        element, the predicted error.
+        Error of the element of the present mesh that contains this element. For a merged element,
+        the predicted error.
     is_changed : bool
-        Whether the element was refined, or must keep its degree (see `Marks.kept`). Such an element
-        is not merged with its neighbours.
+        True if the element was refined or must keep its degree (see `Marks.kept`). A changed
+        element is not merged with its neighbours.
     """
 
     end: float
@@ -180,7 +180,7 @@ class _Piece:
 
 @dataclass(frozen=True, kw_only=True)
 class Marks:
-    """Choice of the elements that the next mesh of a refinement changes or keeps.
+    """Choice of the elements to refine, and of those that keep their degree, on the next mesh.
 
     Attributes
     ----------
@@ -191,7 +191,7 @@ class Marks:
     are_kinked : bool
         Whether the controls are expected to have kinks. At a kink, a control reaches its limit
         continuously, and only its slope jumps. The value is False if controls enter the equations
-        linearly, because such controls are expected to jump.
+        linearly: controls of this kind usually jump.
     """
 
     coarse: frozenset[int]
@@ -224,8 +224,8 @@ def refined_mesh(
     Returns
     -------
     Mesh
-        The next mesh; the present mesh, unchanged, if the next mesh would have more collocation
-        points than `options` allows.
+        The next mesh. If it would exceed the number of collocation points that `options` allows,
+        the present mesh is returned.
     """
     mesh = solution.mesh
     pieces: list[_Piece] = []
@@ -254,7 +254,7 @@ def _lowered(
     """Return an element that the next mesh keeps, with its degree lowered if possible.
 
     The degree is lowered only if the element's error is far below the tolerance. It is lowered step
-    by step, as long as the highest Legendre coefficients of the states are negligible.
+    by step, while the Legendre coefficients of the highest degrees are negligible for all states.
 
     Parameters
     ----------
@@ -281,9 +281,9 @@ def _lowered(
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     """Return the times of the control switches that the next mesh isolates in narrow elements.
 
-    A switch is a jump or a kink of a control. Kinks are considered only if `marks.are_kinked` is
-    true. If an element contains exactly one kink, the kink is the switch of the element. In any
-    other element, the switch is the jump of a bounded control, if there is a jump.
+    A switch is a jump or a kink of a control. If an element contains exactly one kink, the kink is
+    its switch. In any other element, the jump of a bounded control is the switch, if there is a
+    jump. If `marks.are_kinked` is false, kinks are ignored.
 
     Parameters
     ----------
@@ -295,8 +295,8 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     Returns
     -------
     dict
-        For each element of `marks.coarse` that has a switch, by index: the time of the switch as a
-        fraction of the horizon.
+        Index of an element -> time of its switch as a fraction of the horizon, for each element of
+        `marks.coarse` that has a switch.
     """
     ends, found = np.asarray(solution.mesh.breakpoints)[1:], {}
     times = kinks(solution) if marks.are_kinked else np.zeros(0)
@@ -317,13 +317,12 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     sliver. If the jump is near an end of the split element, the sliver extends to that end, and the
     result is two elements.
 
-    A sliver has two advantages. The control is constant in the sliver, so that it satisfies its
-    limits in the whole sliver if it satisfies them at the collocation point. The error of the
-    states in the sliver decreases with the square of its width.
+    A sliver has two advantages. First, the control is constant in it: a control that keeps its
+    limits at the collocation point keeps them in the whole sliver. Second, the error of the states
+    in the sliver decreases with the square of its width.
 
-    If a neighbour of the element has degree 1, the neighbour is a sliver from an earlier mesh that
-    has not enclosed the whole jump. The element is then split into three equally wide elements
-    instead.
+    A neighbour of degree 1 is a sliver from an earlier mesh, which failed to enclose the whole
+    jump. In this case, the element is split into three equally wide elements without a sliver.
 
     Parameters
     ----------
@@ -358,8 +357,8 @@ def _finer(
 ) -> list[_Piece]:
     """Return the elements of the next mesh that replace an element to be refined.
 
-    An element that is too narrow to be split is kept unchanged. Any other element is split in each
-    of these cases:
+    An element that is too narrow to be split is kept unchanged. Any other element is split if at
+    least one of these conditions holds:
 
     - A control is clipped at its limit in the element.
     - The largest error of the element is due to a control switch.
@@ -370,8 +369,8 @@ def _finer(
       true (many limits are expected to become active or inactive).
     - All errors meet the tolerance, but a limit becomes active or inactive in the element.
 
-    In all other cases, the degree of the element is raised if the solution is smooth in the element
-    and the necessary degree is allowed. If not, the element is split.
+    If none of them holds, the degree of the element is raised, provided that the solution is smooth
+    there and the necessary degree is allowed. Otherwise the element is split.
 
     Parameters
     ----------
@@ -511,10 +510,10 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 def _decay(sizes: FloatArray) -> float:
     """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
-    The decay rate measures how smooth a function is; it is positive if the coefficients decrease
-    with the degree. `sizes` are the magnitudes of the coefficients in order of degree. Two kinds of
-    coefficients are left out: the constant term, which gives no information on smoothness, and
-    coefficients at the level of rounding. If fewer than two coefficients are left, the result is 2.
+    A high decay rate means that the function is smooth. `sizes` are the magnitudes of the
+    coefficients in order of degree. The constant term is left out, because it says nothing about
+    smoothness. Coefficients at the level of rounding are left out, too. If fewer than two
+    coefficients are left, the result is 2, the rate of a smooth function.
     """
     order = np.arange(1, sizes.size)
     kept = sizes[1:] > 1e-14
@@ -527,8 +526,9 @@ def _jump(solution: Solution, e: int) -> float | None:
     """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
     `e` is the index of the element. The result is None if no control jumps. It is also None if the
-    problem requires an element boundary at one end of the element, for example because a parameter
-    jumps there. In this case the jump of a control is assumed to be at that boundary.
+    problem requires one end of the element as a boundary, for example because a parameter jumps
+    there. A jump of a control is then assumed to be at that boundary, where elements are separated
+    already.
     """
     mesh = solution.mesh
     if known_boundaries(solution)[e : e + 2].any():

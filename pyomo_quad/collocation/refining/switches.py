@@ -1,4 +1,4 @@
-"""Possible loss in the objective if a control switches at another time than in the optimum."""
+"""Possible increase of the objective because a control switches too early or too late."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SAME_WIDTH = 1.0 + 1e-9
 
 
 def misplaced_switches(solution: Solution) -> FloatArray:
-    """Return, for each element, the most by which a misplaced control switch raises the objective.
+    """Return bounds on the increase of the objective by misplaced control switches, by element.
 
     Let J(s) be the least objective with a control that switches at time s. If the switch is later
     by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
@@ -31,9 +31,9 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 
     A mesh determines the element in which the control switches, but not the time of the switch
     within the element. The time may be wrong by up to the width w of the element. This also holds
-    for a sliver (a narrow element with a single collocation point, cut around a switch). The
-    residuals of the equations between the points do not show a wrong time. A comparison with the
-    previous mesh does not show it either, because the previous mesh may have had the same sliver.
+    for a sliver (a narrow element with a single collocation point, cut around a switch). A wrong
+    time leaves no residuals in the equations between the points. It may also remain hidden in a
+    comparison with the previous mesh, which may have had the same sliver.
 
     The jump of the Hamiltonian decreases towards the optimal switch, which is at most w away. J is
     therefore too large by at most |H- - H+| w.
@@ -57,9 +57,12 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements,)
-        Upper bounds in the unit of the objective. An entry is zero if, in or beside the element, no
-        algebraic variable jumps, or no limit on algebraic variables alone becomes active or
-        inactive, or any other limit becomes active or inactive.
+        Upper bounds in the unit of the objective, zero for an element without a control switch. An
+        element has a control switch if all of these conditions hold in or beside it:
+
+        - An algebraic variable jumps.
+        - A limit on algebraic variables alone becomes active or inactive.
+        - No limit that contains a state or a rate becomes active or inactive.
     """
     mesh, chosen = solution.mesh, switch_elements(solution) & _jumping_elements(solution)
     jumps = np.zeros((2, mesh.elements))
@@ -92,10 +95,10 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which an algebraic variable jumps.
 
-    A variable jumps if its largest and smallest values differ by more than a quarter of its range.
-    The values are taken at the collocation points of the element, and at one point on either side.
-    The range is the difference of the variable's upper and lower limits. If a limit is missing, the
-    range is the difference of its largest and smallest values over the horizon.
+    Values are taken at the collocation points of the element, and at one point on either side. A
+    variable jumps if the largest and smallest of these values differ by more than a quarter of its
+    range. The range is the difference of the variable's upper and lower limits. If a limit is
+    missing, the range is the difference of its largest and smallest values over the horizon.
     """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
@@ -110,11 +113,11 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at collocation points, with parameters taken at other times.
+    """Return the Hamiltonian at collocation points, with parameters taken at given times.
 
-    The function `misplaced_switches` compares the Hamiltonians of two neighbouring points. The
-    time-dependent parameters must have the same values for both points, and are therefore taken at
-    given times instead of the times of the points.
+    The function `misplaced_switches` compares the Hamiltonians of two neighbouring points. Both
+    must use the same values of the time-dependent parameters. The caller therefore gives the times
+    at which these parameters are taken.
 
     Parameters
     ----------
