@@ -1,13 +1,14 @@
-"""Common subexpressions of derivatives, found without writing out the data of tables.
+"""Common subexpressions of equations and derivatives, found without writing out data of tables.
 
-CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
-than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
-last bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table.
-This takes a second for a table of a million numbers.
+A Pyomo expression that reads another expression twice contains its terms twice. CasADi
+differentiates column after column, so that a Jacobian or Hessian contains many terms more than
+once. The function `casadi.cse` merges equal terms, and leaves every result the same to the last
+bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table,
+which takes a second for a table of a million numbers.
 
 The module therefore proceeds in three steps. First, symbols replace the calls in the expressions.
-Then the expressions are differentiated, and equal terms are merged. Finally, the calls replace the
-symbols again.
+Equal terms are merged before the expressions are differentiated, and again in their derivatives.
+Finally, the calls replace the symbols again.
 
 The differentiation may treat the symbols as constants. Each symbol stands for a coefficient of a
 Taylor polynomial, which is a result of a call. These coefficients are defined to be constant in all
@@ -37,7 +38,7 @@ class WithoutCalls:
     Attributes
     ----------
     rows : casadi.SX
-        The expressions.
+        The expressions; each term occurs once.
     calls : tuple of (casadi.SX, casadi.Function, casadi.SX)
         For each call of a table: the symbols that stand for its result, the function that evaluates
         the table, and the arguments of the call. The calls are in the order of evaluation, because
@@ -66,7 +67,7 @@ class WithoutCalls:
         function = casadi.Function("rows", list(inputs), [rows])
         steps = range(function.n_instructions())
         if not any(function.instruction_id(k) == casadi.OP_CALL for k in steps):
-            return cls(rows=rows, calls=())
+            return cls(rows=casadi.cse(rows), calls=())
         nodes, held = function.instructions_sx(), {}
         found, calls = casadi.SX(rows.shape[0], 1), []
         for k in steps:
@@ -91,7 +92,7 @@ class WithoutCalls:
                 held[to[0]] = casadi.SX.unary(operation, held[at[0]])
             else:
                 held[to[0]] = casadi.SX.binary(operation, held[at[0]], held[at[1]])
-        return cls(rows=found, calls=tuple(calls))
+        return cls(rows=casadi.cse(found), calls=tuple(calls))
 
     def merged(self, column: Any) -> Any:
         """Merge equal terms of a column of expressions, then insert calls of interpolation tables.

@@ -136,6 +136,7 @@ class LiveModel:
         self.schedules = schedules
         self._time = time
         self._addresses = AddressBook(time)
+        self._units: dict[str, str] = {}
 
     def of(self, model: Any) -> LiveModel:
         """Return a `LiveModel` of another Pyomo model with the same declarations.
@@ -160,7 +161,10 @@ class LiveModel:
 
     def unit(self, name: str) -> str:
         """Return the unit of a constraint or variable by name, as a text; "" if it has none."""
-        return declared_unit(self.model, name)
+        family = family_name(name)
+        if family not in self._units:
+            self._units[family] = declared_unit(self.model, family)
+        return self._units[family]
 
     def parameter(self, slot: Slot) -> float | None:
         """Return the value of a parameter without time, or of a fixed variable; None if unset.
