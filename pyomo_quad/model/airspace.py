@@ -337,12 +337,20 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
             squared = sum(off[axis] ** 2 for axis in axes)
         return _distance_outside(squared, b.radius[zone, ball] + b.clearance, b.rounding)
 
+    # A named expression for each step: otherwise each step would repeat the one before twice.
+    @b.Expression(list(_radii(scenario)), m.time, doc="largest distance so far, smoothed [m]")
+    def largest(b: Block, zone: str, ball: int, t: float) -> NumericExpression:
+        distance = b.beyond[zone, ball, t]
+        if ball == 1:
+            return distance
+        return saturated(b.largest[zone, ball - 1, t], distance, b.edge_width)
+
     @b.Constraint(
         [zone.name for zone in scenario.airspace.keep_out], m.time, doc="outside of a zone [m]"
     )
     def keep_out(b: Block, zone: str, t: float) -> RelationalExpression:
-        distances = [b.beyond[index, t] for index in b.radius if index[0] == zone]
-        return _largest(distances, b.edge_width) >= 0
+        last = max(ball for name, ball in b.radius if name == zone)
+        return b.largest[zone, last, t] >= 0
 
 
 def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
