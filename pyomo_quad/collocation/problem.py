@@ -24,6 +24,7 @@ from pyomo_quad.collocation.program.bounds import (
     without_settled_rows,
 )
 from pyomo_quad.collocation.program.elastic import elastic_point
+from pyomo_quad.collocation.program.far_rows import run_without_far_rows
 from pyomo_quad.collocation.program.ipopt import (
     Status,
     barrier_gap,
@@ -440,9 +441,13 @@ class Problem(Summarised, Formulation):
         solve = (
             partial(run_past_the_barrier, size=program.objective_size) if is_gap_reduced else run
         )
-        result = solve(
-            changed, kept, scales, z, options=options, multipliers=multipliers, progress=progress
-        )
+        settings: dict[str, Any] = {"options": options, "progress": progress}
+        if multipliers is None:
+            result = solve(changed, kept, scales, z, **settings)
+        else:
+            result = run_without_far_rows(
+                solve, changed, kept, scales, z, multipliers=multipliers, **settings
+            )
         own = result.part(slice(None), slice(program.n_rows))
         found = solution_from(self, program, instance, own, bounds=bounds, scaling=scaling)
         if within is None:

@@ -70,8 +70,13 @@ _NEAR, _INSIDE, _WELL_INSIDE = 1e-9, 1e-6, 1e-4
 # Least initial barrier parameter, and least multipliers, of a warm start where the times at which
 # limits become active change.
 _BEGUN = 1e-8
-# Initial barrier parameter, and distance inside the bounds, of a warm start far from its optimum.
+# Initial barrier parameter, and distance inside the bounds, of a warm start for other limits.
 _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
+# Settings of a warm start far from its optimum: distance inside the bounds; exponent by which the
+# barrier parameter falls, below Ipopt's 1.5, so that no single fall is large; and multiple of the
+# barrier parameter to which each barrier problem is solved.
+_MOVED_INSIDE = 1e-3
+_FALLING_SLOWLY = ("mu_superlinear_decrease_power", 1.2), ("barrier_tol_factor", 1e4)
 # Settings of a solve without multipliers whose first point violates many limits: the barrier
 # parameter begins large and falls by as much as a single good step allows.
 _FROM_AFAR: tuple[tuple[str, Any], ...] = (
@@ -79,6 +84,8 @@ _FROM_AFAR: tuple[tuple[str, Any], ...] = (
     ("mu_init", 0.1),
     ("barrier_tol_factor", 1e3),
 )
+# Settings of a solve without multipliers whose first point is a flight along a route.
+_FROM_A_FLIGHT: tuple[tuple[str, Any], ...] = (("mu_max", 1e-2),)
 # Change of the scaled objective above which a warm start begins well inside its bounds.
 _LARGE_CHANGE = 1e-6
 # Ipopt ends a solve only at a barrier parameter below this multiple of its tolerance.
@@ -206,12 +213,13 @@ class SolverOptions:
             Expected distance of the start from the given point.
         """
         begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
+        falling: tuple[tuple[str, Any], ...] = ()
         if distance is StartDistance.NONE:
             begun, pushes = 0.0, dict.fromkeys(_PUSHES, _NEAR)
         elif distance is StartDistance.FAR:
-            begun, pushes = _BEGUN_FAR, dict.fromkeys(_PUSHES, _FAR_INSIDE)
-            pushes["warm_start_mult_bound_push"] = _BEGUN_FAR
-        chosen = ("mu_init", max(parameter, begun)), *pushes.items()
+            begun, pushes = _BEGUN_FAR, dict.fromkeys(_PUSHES, _MOVED_INSIDE)
+            falling = _FALLING_SLOWLY
+        chosen = ("mu_init", max(parameter, begun)), *pushes.items(), *falling
         return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen))
 
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
@@ -280,6 +288,16 @@ class SolverOptions:
         the barrier parameter begins at 0.1 and only decreases.
         """
         return replace(self, cold=_FROM_AFAR)
+
+    def from_a_flight(self) -> SolverOptions:
+        """Return the settings for a solve whose first point resembles a possible flight.
+
+        The settings apply to solves without a warm start. By default, Ipopt chooses the barrier
+        parameter adaptively. Its first value may be near 1. The iterates then leave the first
+        point, towards flights that take two or three times as long, and return in many iterations.
+        With these settings, the barrier parameter is at most 0.01.
+        """
+        return replace(self, cold=_FROM_A_FLIGHT)
 
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
