@@ -13,7 +13,7 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 from math import ceil, inf
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.plan import Trajectories
 from pyomo_quad.flight.references import quintic_progress
-from pyomo_quad.flight.routes import NoRouteError, journeys_of
+from pyomo_quad.flight.routes import NoRouteError
 from pyomo_quad.flight.smoothed_route import Pace, SmoothPath, Stop, smoothed
 from pyomo_quad.flight.steady import PITCH, ROLL
 from pyomo_quad.flight.verdict import path_of, plan_of, verified
@@ -43,6 +43,8 @@ if TYPE_CHECKING:
 # speed.
 _PACES = ((4.0, 1.0), (2.5, 1.0), (2.5, 0.75), (1.5, 0.75), (1.0, 0.75), (1.0, 0.5), (0.6, 0.4))
 _PACES_IN_TIME = ((1.2, 1.0), (1.8, 1.0), (3.0, 1.0), (5.0, 1.0))
+# Greatest acceleration of a smooth flight that is an initial guess [m/s^2].
+_GUESSED = 2.5
 # Greatest acceleration at corners of a path that leaves its lines by no more than some centimetres
 # [m/s^2].
 _NARROW = 0.2
@@ -98,12 +100,47 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     ):
         return None
     try:
-        journey = journeys_of(told)[0]
+        journey = mission.journeys[0]
         fastest = _fastest(told, journey, mission.steady)
         least_energy = _energy_of_steady_flight(mission, journey, fastest)
         return _first_usable(mission, journey, fastest, least_energy)
     except (NoRouteError, SolveError):
         return None
+
+
+def smooth_flight(mission: MissionProblem, journey: Journey) -> dict[str, Any] | None:
+    """Return a flight along a journey with smooth corners, as an initial guess of a solve.
+
+    The vehicle flies at the speed of least cost, and accelerates by at most 2.5 m/s^2. Attitude and
+    rotor speeds follow from the acceleration; see docs/theory/geometric_plan.md, eqs. (5) and (6).
+    The flight is not simulated, and may break limits.
+
+    Parameters
+    ----------
+    mission : MissionProblem
+        The mission, with a free duration and without waypoints.
+    journey : tuple of Route
+        The route from start to goal.
+
+    Returns
+    -------
+    dict or None
+        "time" -> fractions of the horizon, shape (n,); name of each state -> its samples, shape
+        (n,); "duration" -> the end time [s]. None if the vehicle has no steady flight, or if the
+        mission allows no duration of such a flight.
+    """
+    told = mission.told
+    try:
+        fastest = _fastest(told, journey, mission.steady)
+        pace = Pace(speed=fastest, acceleration=_GUESSED, turning=_GUESSED)
+        path = _path(told, journey, pace, fastest)
+        if path is None:
+            return None
+        held = _flat(told, mission.steady.dynamics, mission.steady, path)
+    except SolveError:
+        return None
+    states = dict(zip(held.state_names, held.states.T, strict=True))
+    return {"time": held.mesh.node_fractions} | states | {"duration": path.duration}
 
 
 def _first_usable(

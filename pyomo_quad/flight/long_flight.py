@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
     from pyomo_quad.arrays import FloatArray
-    from pyomo_quad.flight.steady import SteadyFlight
+    from pyomo_quad.flight.steady import SteadyFlight, Trim
     from pyomo_quad.scenario import Scenario
     from pyomo_quad.scenario.airspace import Airspace
 
@@ -197,12 +197,15 @@ def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -
     energy plus `price_of_time` [W] times the duration. `course` is the unit vector of the
     direction, shape (3,).
     """
+    near: Trim | None = None
 
     def cost(speed: float) -> float:
+        nonlocal near
         try:
-            return (steady.trim(course * speed).power_W + price_of_time) / speed
+            near = steady.trim(course * speed, near)
         except SolveError:
             return inf
+        return (near.power_W + price_of_time) / speed
 
     found = minimize_scalar(
         cost, bounds=_SPEEDS, method="bounded", options={"xatol": _SPEED_TOLERANCE}

@@ -24,7 +24,7 @@ from pyomo_quad.collocation import (
 )
 from pyomo_quad.flight.flight import HELD_BREACH
 from pyomo_quad.flight.plan import PlanStatus, trajectories_of
-from pyomo_quad.flight.routes import with_plain_passages
+from pyomo_quad.flight.routes import journeys_of, with_plain_passages
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.stricter_limits import within_limits
 from pyomo_quad.flight.verdict import energy_of, horizon_of, plan_of, verified
@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation import Solution, Trajectory
     from pyomo_quad.flight.plan import Plan
     from pyomo_quad.flight.problems import Problems
+    from pyomo_quad.flight.routes import Journey
     from pyomo_quad.flight.search import Search
     from pyomo_quad.scenario import Scenario
 
@@ -74,8 +75,8 @@ class MissionProblem:
         Time spent on each phase of the problem's preparation [s]: "build" and "compile".
     easier : tuple of mapping
         Parameter values (parameter name -> value) that make the problem easier, the easiest first.
-        Each mapping smooths the kink of the power (see the module) over a larger width than the
-        mission does. The solves of continuation use these values; the final plan uses the mission's
+        Each mapping smooths the kink of the power at zero over a larger width than the mission
+        does. The solves of continuation use these values; the final plan uses the mission's
         own. The tuple is empty for a mission with regeneration.
     """
 
@@ -194,8 +195,9 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        The easiest values smooth the kink of the power at zero over the largest width (see the
-        module). A mission with regeneration has no kink, and is solved with its own values.
+        The easiest values smooth the kink of the power at zero over the largest width. A mission
+        with regeneration has no kink, and is solved with its own values.
+
         ``chosen`` holds arguments of the method `Problem.solve` that replace those of the property
         `arguments`.
         """
@@ -204,8 +206,8 @@ class MissionProblem:
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
-        An easier problem smooths the kink of the power at zero over a larger width than the mission
-        (see the module). The easier problems are solved in order of decreasing width, each from the
+        An easier problem smooths the kink of the power at zero over a larger width than the
+        mission. The easier problems are solved in order of decreasing width, each from the
         previous solution. The mission itself is solved last, with refinement of the mesh.
 
         The solve of the mission may fail on a refined mesh. The easiest problem is then solved on
@@ -283,7 +285,7 @@ class MissionProblem:
         """Return the last iterate of an interrupted solve, evaluated with the mission's parameters.
 
         `stopped` is the result of the interrupted solve. The solve had easier parameter values,
-        with which the kink of the power at zero is smoothed over a larger width (see the module).
+        with which the kink of the power at zero is smoothed over a larger width.
         The returned solution has the same iterate. Its energy and errors are computed with the
         mission's own values.
         """
@@ -337,6 +339,19 @@ class MissionProblem:
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
+
+    @cached_property
+    def journeys(self) -> tuple[Journey, ...]:
+        """Journeys of the mission round keep-out zones, the shortest first.
+
+        A journey is a sequence of routes, one for each leg from one waypoint to the next.
+
+        Raises
+        ------
+        NoRouteError
+            If zones block every route of a leg.
+        """
+        return journeys_of(self.told)
 
     @cached_property
     def steady(self) -> SteadyFlight:

@@ -22,11 +22,12 @@ from pyomo_quad.arrays import FloatArray
 from pyomo_quad.collocation import Mesh, Solution, SolveError, SolverOptions, Status
 from pyomo_quad.flight.corridors import corridor_journeys, estimate_of, has_corridors
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.flight.geometric_plan import smooth_flight
 from pyomo_quad.flight.long_flight import best_speed
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.parallel_solves import most_solves, solve_side_by_side
 from pyomo_quad.flight.references import quintic_progress
-from pyomo_quad.flight.routes import Journey, NoRouteError, TriedRoute, journeys_of, length_of
+from pyomo_quad.flight.routes import Journey, NoRouteError, TriedRoute, length_of
 from pyomo_quad.flight.verdict import energy_of
 from pyomo_quad.flight.zones import Side, sides_passed
 from pyomo_quad.scenario import Scenario
@@ -47,13 +48,10 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
-# Durations of the guesses along the first journey if it may have several optima, relative to the
-# nominal duration of the mission.
-_PACES = (1.0, 1.5)
-# Durations of the further guesses through a wind field, relative to the best solution so far; the
-# largest number of solves from them; and the least relative saving for which a solution replaces
-# the best one.
-_FASTER, _MOST_FASTER, _SAVED = (0.7, 0.85, 0.6), 12, 1e-4
+# Duration of a further guess through a wind field, relative to the best solution so far; the
+# largest number of solves from such guesses; the largest number of iterations of each; and the
+# least relative saving for which a solution replaces the best one.
+_FASTER, _MOST_FASTER, _PATIENCE, _SAVED = 0.85, 12, 60, 1e-4
 # Sides on which a flight touches zones, as pairs of name and side, for each leg.
 _SidesTouched = tuple[frozenset[tuple[str, Side]], ...]
 # Number of meshes of a solve to the next mesh, including the first.
@@ -77,8 +75,9 @@ class RouteFlights:
     ----------
     has_several_optima : bool
         Whether a journey may have several local optima, which differ in duration. This is the case
-        for flights of free duration through a wind field. The first journey is then solved from
-        guesses of two durations. The best solution is the start of further solves (see `_faster`).
+        for flights of free duration through a wind field. The first journey is then solved from a
+        flight with smooth corners, all others from straight lines. The best solution is the start
+        of further solves (see `_faster`).
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -87,6 +86,8 @@ class RouteFlights:
     _is_pruned = False
     # Whether the easier mission past the waypoints is solved first.
     _is_plain = False
+    # Whether there is only one candidate journey.
+    _is_alone = False
     has_several_optima = False
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
@@ -144,6 +145,7 @@ class RouteFlights:
             Result of the solve along each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
+        self._is_alone = len(journeys) == 1
         for journey, solution in self._each_flown(journeys):
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
@@ -290,7 +292,7 @@ class RouteFlights:
         journey.
         """
         told = self._scenario
-        journeys = journeys_of(told)[:most]
+        journeys = self._mission.journeys[:most]
         if self._has_corridors and most is None:
             steady = self._mission.problems.steady_flight(told)
             return corridor_journeys(told, steady, journeys[0])
@@ -332,18 +334,33 @@ class RouteFlights:
         """Return the solution along the first of several journeys.
 
         If the solution is known already, it is returned. Otherwise the method `fly` solves the
-        mission. If the journey may have several optima, the result is the best of several solves,
-        whose guesses differ in duration.
+        mission.
+
+        If the journey may have several optima, the guess is the flight that `smooth_guess` returns.
+        If there is no other journey, the mission is also solved from constant speed along the lines
+        of the journey, and the better solution is returned. A mission with several optima thus has
+        at least two different guesses.
         """
         if self._known is not None:
             return self._known
-        if not self.has_several_optima:
+        smooth = self.smooth_guess(journey) if self.has_several_optima else None
+        if smooth is None:
             return self.fly(journey)
-        solves = [partial(self.fly, journey, pace) for pace in _PACES]
+        solves = [partial(self.fly, journey, smooth)]
+        if self._is_alone:
+            solves.append(partial(self.fly, journey))
         solved = solve_side_by_side(self._mission, solves)
         return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
 
-    def fly(self, journey: Journey, pace: float = 1.0) -> Solution:
+    def smooth_guess(self, journey: Journey) -> dict[str, Any] | None:
+        """Return a flight along a journey with smooth corners, as an initial guess of a solve.
+
+        The result is that of `flight.geometric_plan.smooth_flight`: samples of all states, or None
+        if there is no such flight.
+        """
+        return smooth_flight(self._mission, journey)
+
+    def fly(self, journey: Journey, guess: Any = None) -> Solution:
         """Solve the mission on one mesh from an initial guess along a journey.
 
         If the solve fails, an easier mission is solved, in which the vehicle passes exactly through
@@ -355,17 +372,19 @@ class RouteFlights:
         ----------
         journey : tuple of Route
             A route for each leg of the mission, from one waypoint to the next.
-        pace : float, optional
-            Duration of the guess, relative to the nominal duration of the mission.
+        guess : mapping, optional
+            The initial guess; by default a flight along the lines of the journey in the nominal
+            duration of the mission.
         """
         told, mission = self._scenario, self._mission
-        guess: Any = guess_along(
-            journey,
-            [pace * time for time in told.nominal_times],
-            is_open=told.mission.is_free,
-            # A waypoint is usually passed without a stop.
-            is_even=len(journey) > 1 or self._has_corridors,
-        )
+        if guess is None:
+            guess = guess_along(
+                journey,
+                told.nominal_times,
+                is_open=told.mission.is_free,
+                # A waypoint is usually passed without a stop.
+                is_even=len(journey) > 1 or self._has_corridors,
+            )
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
@@ -374,10 +393,10 @@ class RouteFlights:
         if not is_new or mission.past_waypoints is None:
             return rough
         self._is_plain = True
-        return self.fly(journey, pace)
+        return self.fly(journey)
 
     def _faster(self, flown: Solution) -> Solution:
-        """Solve again from faster initial guesses along a solution, until the cost falls no more.
+        """Solve again from faster flights along a solution, until the cost falls no more.
 
         `flown` is the best solution so far, on the mesh on which journeys are compared. The result
         is a solution on the same mesh that costs no more than `flown`.
@@ -388,13 +407,14 @@ class RouteFlights:
         end in another local optimum. If the new solution costs less, it becomes the best solution,
         and the solves are repeated from it.
         """
-        best, shares = flown, [*_FASTER]
+        best = flown
         for _ in range(_MOST_FASTER):
-            if best.status.has_failed or not shares:
+            if best.status.has_failed:
                 break
-            found = self.fly_again(best, shares.pop(0))
-            if found.status.is_solved and _cost(found) < (1.0 - _SAVED) * _cost(best):
-                best, shares = found, [*_FASTER]
+            found = self.fly_again(best, _FASTER)
+            if not _cost(found) < (1.0 - _SAVED) * _cost(best):
+                break
+            best = found
         return best
 
     def fly_again(self, flown: Solution, share: float) -> Solution:
@@ -409,7 +429,7 @@ class RouteFlights:
         share : float
             Duration of the initial guess, relative to that of the solution.
         """
-        guess, options = guess_from(flown, share), self._rough_options()
+        guess, options = guess_from(flown, share), self._rough_options().at_most(_PATIENCE)
         return self._mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
 
     def _rough_options(self) -> SolverOptions:
@@ -420,6 +440,8 @@ class RouteFlights:
         mission.
         """
         options = self._mission.arguments["options"]
+        if self.has_several_optima:
+            options = options.from_a_flight()
         if self._scenario.solver.max_refinements > 0:
             options = replace(options, tolerance=ON_FIRST)
         return options

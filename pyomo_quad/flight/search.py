@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from pyomo_quad.flight.plan import Plan
 
 # Work of a search (the sum over Ipopt's iterations of the number of mesh points): before it makes
-# the first plan, somewhat less than a second of a processor; and before it computes usable plans at
+# the first plan, somewhat more than a second of a processor; and before it computes usable plans at
 # the highest accuracy, about two seconds. Largest fractions of its work that it spends on
 # simulating the controls of finished meshes: before it has a usable plan from a solution, and
 # afterwards, to find a better usable plan.
-_PROMPT, _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 5e3, 1.2e4, 0.3, 0.05
+_PROMPT, _PATIENCE, _SHARE, _SHARE_FOR_BETTER = 7.5e3, 1.2e4, 0.3, 0.05
 # Correcting the controls of a mesh and simulating them counts as the work of this number of
 # iterations on the mesh.
 _ITERATIONS_OF_FLIGHT = 20
@@ -158,7 +158,7 @@ class Search:
         A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
         result of a search that is stopped. The function `make_first` returns a plan that was
         simulated, or None. It is called between two iterations of Ipopt, at most once: after
-        somewhat less than a second, if the search has no usable plan by then. Many searches end
+        somewhat more than a second, if the search has no usable plan by then. Many searches end
         earlier.
         """
         self._make_first = make_first

@@ -143,6 +143,7 @@ class SteadyFlight:
         self._dynamics = dynamics
         self._start = np.array([start[name] for name in names])
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
+        self._trims: dict[tuple[float, ...], Trim] = {}
 
     @property
     def dynamics(self) -> Dynamics:
@@ -176,15 +177,24 @@ class SteadyFlight:
         SolveError
             If the equations have no steady flight at this velocity.
         """
+        wanted = np.array(velocity, dtype=float)
+        key = tuple(wanted.tolist())
+        if key not in self._trims:
+            self._trims[key] = self._trimmed(wanted, near)
+        return self._trims[key]
+
+    def _trimmed(self, velocity: FloatArray, near: Trim | None) -> Trim:
+        """Return the steady flight at a velocity over ground, computed from the initial guess.
+
+        Arguments and result are those of `trim`, which keeps the results.
+        """
         names, t = list(self._dynamics.state_names), self._dynamics.start
         used_up = set(self._dynamics.states_used_up)
         held = used_up | {*POSITION_STATES, _YAW}
         free = [k for k, name in enumerate(names) if name not in held]
         resting = [k for k, name in enumerate(names) if name not in used_up]
         wanted, guess = np.zeros(len(names)), self._start.copy()
-        for place, rate, speed in zip(
-            POSITION_STATES, VELOCITY_STATES, np.array(velocity), strict=True
-        ):
+        for place, rate, speed in zip(POSITION_STATES, VELOCITY_STATES, velocity, strict=True):
             if place in names:
                 wanted[names.index(place)] = speed
             if rate in names:
@@ -211,7 +221,7 @@ class SteadyFlight:
         _sharpen(unrest, found, scale)
         if not np.max(np.abs(found.fun), initial=0.0) <= _AT_REST:
             raise SolveError(
-                f"steady flight: the model has none at {np.array(velocity).tolist()} m/s; "
+                f"steady flight: the model has none at {velocity.tolist()} m/s; "
                 "even without its limits, some state is never at rest."
             )
         states, controls = flight(found.x)

@@ -152,10 +152,16 @@ def test_the_mission_is_solved_along_every_corridor(tmp_path, monkeypatch):
         def __init__(self):
             RouteFlights.__init__(self, SimpleNamespace(told=told))
 
-        def fly(self, journey, _pace=1.0):
-            solved.append(journey[0].label)
+        def smooth_guess(self, _journey):
+            return "smooth"
+
+        def fly(self, journey, guess="lines"):
+            solved.append((journey[0].label, guess))
             return solution_at(float(len(solved)), 100.0 * len(solved), Mesh.uniform(4, 3))
 
     Flights().compared(corridors)
-    # The first is solved from two guesses.
-    assert solved == ["corridor 0", "corridor 0", "corridor 1", "corridor 2"]
+    assert solved == [("corridor 0", "smooth"), ("corridor 1", "lines"), ("corridor 2", "lines")]
+    solved.clear()
+    Flights().compared(corridors[:1])
+    # A mission of several optima begins at two guesses at least.
+    assert solved == [("corridor 0", "smooth"), ("corridor 0", "lines")]

@@ -7,7 +7,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from pyomo_quad.flight import Planner, PlanStatus, search
-from pyomo_quad.flight.geometric_plan import _along, _path, geometric_plan
+from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
+from pyomo_quad.flight.geometric_plan import _along, _path, geometric_plan, smooth_flight
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.routes import find_journeys
 from pyomo_quad.flight.search import as_usable
@@ -84,6 +85,28 @@ def test_the_states_of_a_path_satisfy_the_equations_of_motion(past_a_hut):
         rates = plan.dynamics.rates(t, held.states[k], held.controls[k - 1])
         assert_allclose(rates[velocity], path.at(np.array([t]))[2][0], atol=1e-2)
         assert_allclose(rates[turning], angles[k], atol=1e-2)
+
+
+def test_a_smooth_flight_leads_from_rest_to_rest_along_the_journey(past_a_hut):
+    told = past_a_hut.told
+    journey = find_journeys(told.airspace, told.mission.positions)[0]
+    guess = smooth_flight(past_a_hut, journey)
+    places = np.array([guess[name] for name in POSITION_STATES])
+    speeds = np.array([guess[name] for name in VELOCITY_STATES])
+    assert_allclose(places[:, [0, -1]].T, told.mission.positions, atol=1e-9)
+    assert_allclose(speeds[:, [0, -1]], 0.0, atol=1e-6)
+    # The change of place is the integral of the velocity, here by trapezoids of some 0.1 s.
+    passed = np.trapezoid(speeds, guess["duration"] * guess["time"], axis=1)
+    assert_allclose(passed, np.diff(told.mission.positions, axis=0)[0], atol=0.02)
+    # Half a metre from the walls, corners are cut by less.
+    (zone,) = told.airspace.keep_out
+    assert zone.depth(places.T).max() < 0.0
+
+
+def test_there_is_no_smooth_flight_where_the_time_is_too_short():
+    short = mission(duration_max=1.0)
+    journey = find_journeys(short.told.airspace, short.told.mission.positions)[0]
+    assert smooth_flight(short, journey) is None
 
 
 def test_a_fixed_duration_and_a_hover_with_a_release_are_kept():

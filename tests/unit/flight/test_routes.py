@@ -351,8 +351,11 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
     class Flights(CoarseFlights):
         has_several_optima = True
 
-        def fly(self, _journey, pace=1.0):
-            duration = 10.0 if pace > 1.0 else 12.0
+        def smooth_guess(self, _journey):
+            return {"duration": 10.0}
+
+        def fly(self, _journey, guess=None):
+            duration = (guess or {"duration": 12.0})["duration"]
             return solution_at(duration, cost[duration], mesh)
 
         def fly_again(self, flown, share):
@@ -361,6 +364,8 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
             return solution_at(near, cost[near], mesh)
 
     assert Flights().compared(journeys)[0].objective == min(cost.values())
+    # A single journey is solved from both guesses.
+    assert Flights().compared(journeys[:1])[0].objective == min(cost.values())
 
 
 def test_a_guess_from_a_solution_in_another_time_follows_its_path_at_another_speed():
