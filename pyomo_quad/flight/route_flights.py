@@ -48,10 +48,11 @@ _MOST_ON_NEXT, _MOST_REFINED = 4, 3
 #: Ipopt's tolerance for flights on one mesh that are only compared: the complementarity gap that
 #: the barrier leaves is then a tenth of `_NEAR_ON_FIRST`.
 ON_FIRST = 1e-7
-# Duration of a further guess through a wind field, relative to the best solution so far; the
-# largest number of solves from such guesses; the largest number of iterations of each; and the
-# least relative saving for which a solution replaces the best one.
-_FASTER, _MOST_FASTER, _PATIENCE, _SAVED = 0.85, 12, 60, 1e-4
+# Durations of the further guesses through a wind field, relative to the best solution so far: of
+# the first, which shows whether there are many optima, and of those that search for a better one;
+# the largest number of solves from them; the largest number of iterations of each; and the least
+# relative saving for which a solution replaces the best one.
+_PROBE, _FASTER, _MOST_FASTER, _PATIENCE, _SAVED = 0.85, (0.7, 0.85, 0.6), 12, 60, 1e-4
 # Sides on which a flight touches zones, as pairs of name and side, for each leg.
 _SidesTouched = tuple[frozenset[tuple[str, Side]], ...]
 # Number of meshes of a solve to the next mesh, including the first.
@@ -77,7 +78,7 @@ class RouteFlights:
         Whether a journey may have several local optima, which differ in duration. This is the case
         for flights of free duration through a wind field. The first journey is then solved from a
         flight with smooth corners, all others from straight lines. The best solution is the start
-        of further solves (see `_faster`).
+        of further solves (see `_improve`).
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -151,8 +152,7 @@ class RouteFlights:
                 flown.append((journey, solution))
         known = dict(enumerate(solution for _, solution in flown))
         if self.has_several_optima:
-            cheapest = _cheapest(known)[0]
-            known[cheapest] = self._faster(known[cheapest])
+            self._improve(known, journeys[0])
         near = self._near(known)
         refined = self._refined(known, near)
         best = min(refined, key=lambda k: _cost(refined[k])) if refined else _cheapest(known)[0]
@@ -360,7 +360,9 @@ class RouteFlights:
         """
         return smooth_flight(self._mission, journey)
 
-    def fly(self, journey: Journey, guess: Any = None) -> Solution:
+    def fly(
+        self, journey: Journey, guess: Any = None, options: SolverOptions | None = None
+    ) -> Solution:
         """Solve the mission on one mesh from an initial guess along a journey.
 
         If the solve fails, an easier mission is solved, in which the vehicle passes exactly through
@@ -375,6 +377,9 @@ class RouteFlights:
         guess : mapping, optional
             The initial guess; by default a flight along the lines of the journey in the nominal
             duration of the mission.
+        options : SolverOptions, optional
+            Ipopt's options; by default those of `_rough_options`, with a small barrier parameter if
+            the journey may have several optima.
         """
         told, mission = self._scenario, self._mission
         if guess is None:
@@ -388,12 +393,37 @@ class RouteFlights:
         if self._is_plain and mission.past_waypoints is not None:
             begun = mission.past_waypoints.solve_roughly(mesh=self._mesh, guess=guess)
             guess = begun.trajectory if begun.status.is_solved else guess
-        rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=self._rough_options())
+        if options is None:
+            options = self._rough_options()
+            options = options.from_a_flight() if self.has_several_optima else options
+        rough = mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
         is_new = rough.status.has_failed and not self._is_plain
         if not is_new or mission.past_waypoints is None:
             return rough
         self._is_plain = True
         return self.fly(journey)
+
+    def _improve(self, known: dict[int, Solution], journey: Journey) -> None:
+        """Replace the best solution by a better local optimum, if there is one (see `_faster`).
+
+        One solve from the best solution, flown in less time, shows whether there are many optima.
+        If it saves nothing, there is no further solve. Otherwise the search goes on from the new
+        solution, and from one more solution, whose guess follows the lines of a journey. These
+        solves have Ipopt's own barrier parameter, with which iterates move farther from the guess.
+
+        Parameters
+        ----------
+        known : dict
+            Number of a journey -> its solution. The dict is changed in place.
+        journey : tuple of Route
+            The first of the journeys.
+        """
+        first, options = _cheapest(known)[0], self._rough_options()
+        found = self.fly_again(known[first], _PROBE, options.from_a_flight())
+        if not _saves(found, known[first]):
+            return
+        others = self.fly(journey, options=options)
+        known[first] = min(self._faster(found), self._faster(others), key=_cost)
 
     def _faster(self, flown: Solution) -> Solution:
         """Solve again from faster flights along a solution, until the cost falls no more.
@@ -407,17 +437,18 @@ class RouteFlights:
         end in another local optimum. If the new solution costs less, it becomes the best solution,
         and the solves are repeated from it.
         """
-        best = flown
+        best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
-            if best.status.has_failed:
+            if best.status.has_failed or not shares:
                 break
-            found = self.fly_again(best, _FASTER)
-            if not _cost(found) < (1.0 - _SAVED) * _cost(best):
-                break
-            best = found
+            found = self.fly_again(best, shares.pop(0))
+            if _saves(found, best):
+                best, shares = found, [*_FASTER]
         return best
 
-    def fly_again(self, flown: Solution, share: float) -> Solution:
+    def fly_again(
+        self, flown: Solution, share: float, options: SolverOptions | None = None
+    ) -> Solution:
         """Solve the mission again from the path of a solution, flown in another time.
 
         The solve uses the mesh on which journeys are compared.
@@ -428,9 +459,14 @@ class RouteFlights:
             A solution of this mission, whose end time is free.
         share : float
             Duration of the initial guess, relative to that of the solution.
+        options : SolverOptions, optional
+            Ipopt's options, whose limit of iterations is lowered; by default those of
+            `_rough_options`.
         """
-        guess, options = guess_from(flown, share), self._rough_options().at_most(_PATIENCE)
-        return self._mission.solve_roughly(mesh=self._mesh, guess=guess, options=options)
+        guess, chosen = guess_from(flown, share), options or self._rough_options()
+        return self._mission.solve_roughly(
+            mesh=self._mesh, guess=guess, options=chosen.at_most(_PATIENCE)
+        )
 
     def _rough_options(self) -> SolverOptions:
         """Return Ipopt's options for the coarse solves with which journeys are compared.
@@ -440,8 +476,6 @@ class RouteFlights:
         mission.
         """
         options = self._mission.arguments["options"]
-        if self.has_several_optima:
-            options = options.from_a_flight()
         if self._scenario.solver.max_refinements > 0:
             options = replace(options, tolerance=ON_FIRST)
         return options
@@ -731,6 +765,11 @@ def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int
 
 def _cost(solution: Solution) -> float:
     return solution.objective if solution.status.is_solved else inf
+
+
+def _saves(found: Solution, known: Solution) -> bool:
+    """Return whether a solution costs less than a known one, by more than rounding may cause."""
+    return _cost(found) < (1.0 - _SAVED) * _cost(known)
 
 
 def _cheapest(known: Mapping[int, Solution]) -> list[int]:

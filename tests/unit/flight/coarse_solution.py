@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pyomo_quad.collocation import Status, Trajectory
+from pyomo_quad.collocation import SolverOptions, Status, Trajectory
 from pyomo_quad.flight.flight import POSITION_STATES
 from pyomo_quad.flight.route_flights import RouteFlights
 
@@ -33,7 +33,11 @@ class CoarseFlights(RouteFlights):
         """Need no mission, and know no solution."""
         self._mission = self._known = None
 
-    def fly_again(self, flown, _share):
+    def _rough_options(self):
+        return SolverOptions()
+
+    def fly_again(self, flown, _share, options=None):
+        del options
         return flown
 
     def refine(self, flown, _meshes):

@@ -155,7 +155,8 @@ def test_the_mission_is_solved_along_every_corridor(tmp_path, monkeypatch):
         def smooth_guess(self, _journey):
             return "smooth"
 
-        def fly(self, journey, guess="lines"):
+        def fly(self, journey, guess="lines", options=None):
+            del options
             solved.append((journey[0].label, guess))
             return solution_at(float(len(solved)), 100.0 * len(solved), Mesh.uniform(4, 3))
 

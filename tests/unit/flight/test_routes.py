@@ -354,11 +354,13 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
         def smooth_guess(self, _journey):
             return {"duration": 10.0}
 
-        def fly(self, _journey, guess=None):
+        def fly(self, _journey, guess=None, options=None):
+            del options
             duration = (guess or {"duration": 12.0})["duration"]
             return solution_at(duration, cost[duration], mesh)
 
-        def fly_again(self, flown, share):
+        def fly_again(self, flown, share, options=None):
+            del options
             duration = flown.trajectory.states[0, 0]
             near = min(cost, key=lambda known: abs(known - share * duration))
             return solution_at(near, cost[near], mesh)
