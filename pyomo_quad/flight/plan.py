@@ -454,8 +454,8 @@ class Plan(Summarised):
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If feedback
         corrected the controls after the solve, `error_estimate` is the larger of this estimate and
-        the relative error of the energy, |E - E_least| / E_least. Here E is the energy of the plan,
-        and E_least the least energy of the mission. As a rule, E_least is the energy of the
+        the relative error of the energy, abs(E - E_least) / E_least. Here E is the energy of the
+        plan, and E_least the least energy of the mission. As a rule, E_least is the energy of the
         solution before the correction.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
@@ -629,6 +629,7 @@ class Plan(Summarised):
         """Estimated fraction of the energy that a better flight near the plan may save.
 
         The fraction depends on the plan:
+
         - Verified plan: the smaller of the plan's error estimate (which includes the error of the
           energy) and the tolerance that the scenario requests.
         - Other plan, with at least two meshes: the relative change of the objective from the second

@@ -204,10 +204,10 @@ class Verification:
         Distance between the simulated and the planned final position [m].
     worst_miss : str
         Name of the state whose final value deviates most from the plan. The deviation is relative
-        to max(1, |planned value|).
+        to max(1, abs(planned value)).
     max_violation, worst_constraint : float, str
         Largest violation of a limit along the flight, and the name of the violated limit. The
-        violation is relative to max(1, |limit|).
+        violation is relative to max(1, abs(limit)).
     breaches : tuple of Violation
         Largest violation of each limit along the flight; 0 for a limit that is kept.
     broken_limits : tuple of str
