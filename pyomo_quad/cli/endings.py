@@ -134,7 +134,7 @@ def before_the_end(act: Callable[[], object]) -> None:
 
 @contextmanager
 def stop_on_interrupt() -> Iterator[Interruption]:
-    """Context manager: turn a signal such as Ctrl-C into a request to stop a solve.
+    """Turn a signal such as Ctrl-C into a request to stop a solve, inside a ``with`` block.
 
     A solve inside the ``with`` block checks at each iteration whether a stop was requested. After a
     request, the solve stops and returns its best iterate.
@@ -199,10 +199,10 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process, unless the process also runs other code.
+    """Set a timer that ends the process, if the process runs nothing but the command.
 
-    Tests are an example of other code. If a timer is running already, the timer that ends the
-    process sooner is kept.
+    A test that calls the command in its own process is not ended. If a timer is running already,
+    the timer that ends the process sooner is kept.
 
     Parameters
     ----------

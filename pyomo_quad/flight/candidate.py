@@ -356,7 +356,7 @@ class Candidate:
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed. It differs
+        The waypoints of the easier mission have no radius and no speed limit. It differs
         from the mission only if a waypoint has a radius or a speed limit. The method
         `past_waypoints` uses the solution of the easier mission as initial guess.
         """
@@ -365,7 +365,7 @@ class Candidate:
     def past_waypoints(self) -> str | None:
         """Solve the failed mission again, starting from the solution of an easier mission.
 
-        In the easier mission, the vehicle passes each waypoint exactly and at any speed.
+        The waypoints of the easier mission have no radius and no speed limit.
 
         Returns
         -------

@@ -348,8 +348,8 @@ class MarginSearch:
           verified. The coarse mesh may be the reason for the other broken limits.
         - The refined plan is tested again.
 
-        A plan that is already refined is tested only once. A plan whose flights miss the goal too
-        often is also tested only once, because a refinement takes longer than a test.
+        A plan that is already refined is tested only once. So is a plan whose flights miss the goal
+        too often: a refinement takes longer than the test of another plan.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))

@@ -17,9 +17,9 @@ every state from which rotors and battery can reach the goal. If a solve fails n
 vehicle follows its previous plan.
 
 A failed solve is repeated at once if the vehicle has used up its margin to a limit. The margin is
-the amount by which the limit was tightened for the plan. It is used up if the vehicle is nearer to
-the limit than its plan by more than the margin. The second solve may take many more iterations,
-although the new plan may then be late.
+the amount by which the limit was tightened for the plan. To use it up, the vehicle must deviate
+from its plan towards the limit by more than the margin. The second solve may take many more
+iterations, although the new plan may then be late.
 
 No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
 arrive exactly within seconds would spend much energy to counteract every gust. In a hover at a

@@ -87,8 +87,6 @@ class RouteFlights:
     _is_pruned = False
     # Whether the easier mission past the waypoints is solved first.
     _is_plain = False
-    # Whether there is only one candidate journey.
-    _is_alone = False
     has_several_optima = False
 
     def __init__(self, mission: MissionProblem, known: Solution | None = None) -> None:
@@ -146,7 +144,6 @@ class RouteFlights:
             Result of the solve along each journey.
         """
         flown: list[tuple[Journey, Solution]] = []
-        self._is_alone = len(journeys) == 1
         for journey, solution in self._each_flown(journeys):
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
@@ -195,7 +192,9 @@ class RouteFlights:
         def is_needed(journey: Journey) -> bool:
             return not any(_is_dominated(journey, sides) for sides in dominant)
 
-        waiting, count, fly = [*journeys], 1, self._fly_first
+        waiting, count = [*journeys], 1
+        fly: Callable[[Journey], Solution]
+        fly = partial(self._fly_first, is_alone=len(journeys) == 1)
         while waiting := [journey for journey in waiting if is_needed(journey)]:
             together, waiting = waiting[:count], waiting[count:]
             solves = [partial(fly, journey) for journey in together]
@@ -330,16 +329,16 @@ class RouteFlights:
 
         return cost
 
-    def _fly_first(self, journey: Journey) -> Solution:
+    def _fly_first(self, journey: Journey, *, is_alone: bool) -> Solution:
         """Return the solution along the first of several journeys.
 
         If the solution is known already, it is returned. Otherwise the method `fly` solves the
         mission.
 
         If the journey may have several optima, the guess is the flight that `smooth_guess` returns.
-        If there is no other journey, the mission is also solved from constant speed along the lines
-        of the journey, and the better solution is returned. A mission with several optima thus has
-        at least two different guesses.
+        If there is no other journey (`is_alone`), the mission is also solved from constant speed
+        along the lines of the journey, and the better solution is returned. A mission with several
+        optima thus has at least two different guesses.
         """
         if self._known is not None:
             return self._known
@@ -347,7 +346,7 @@ class RouteFlights:
         if smooth is None:
             return self.fly(journey)
         solves = [partial(self.fly, journey, smooth)]
-        if self._is_alone:
+        if is_alone:
             solves.append(partial(self.fly, journey))
         solved = solve_side_by_side(self._mission, solves)
         return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
@@ -419,6 +418,8 @@ class RouteFlights:
             The first of the journeys.
         """
         first, options = _cheapest(known)[0], self._rough_options()
+        if known[first].status.has_failed:
+            return
         found = self.fly_again(known[first], _PROBE, options.from_a_flight())
         if not _saves(found, known[first]):
             return

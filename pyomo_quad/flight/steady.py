@@ -21,6 +21,7 @@ from scipy.optimize import brentq, least_squares
 
 from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight.baselines import declared_start
+from pyomo_quad.flight.caches import Recent
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.model.battery_circuit import CIRCUIT_STATES
@@ -45,6 +46,8 @@ _INDUCED = "power.induced_velocity"
 _UNCREDITED = "power.uncredited_power"
 # Velocity or acceleration of a vehicle at rest.
 _STILL = np.zeros(3)
+# Largest number of trims that are kept, far above the number of velocities in one search.
+_MOST_TRIMS = 1000
 # Largest rate of change of a state in a trim, in the state's own unit per second.
 _AT_REST = 1e-7
 # Residual of the least-squares search below which Newton steps with its last Jacobian follow, and
@@ -143,7 +146,7 @@ class SteadyFlight:
         self._dynamics = dynamics
         self._start = np.array([start[name] for name in names])
         self._rotors = [k for k, name in enumerate(names) if name.startswith(_ROTOR_SPEED)]
-        self._trims: dict[tuple[float, ...], Trim] = {}
+        self._trims: Recent[Trim] = Recent(_MOST_TRIMS)
 
     @property
     def dynamics(self) -> Dynamics:
@@ -179,9 +182,7 @@ class SteadyFlight:
         """
         wanted = np.array(velocity, dtype=float)
         key = tuple(wanted.tolist())
-        if key not in self._trims:
-            self._trims[key] = self._trimmed(wanted, near)
-        return self._trims[key]
+        return self._trims.get(key) or self._trims.store(key, self._trimmed(wanted, near))
 
     def _trimmed(self, velocity: FloatArray, near: Trim | None) -> Trim:
         """Return the steady flight at a velocity over ground, computed from the initial guess.

@@ -220,10 +220,11 @@ def find_orders(
     """Search for the cheapest orders of the waypoints of a mission, by the costs of their legs.
 
     A leg is the flight between two places, from hover to hover. In each round, the orders are
-    ranked by their costs, and the unsolved legs of the cheapest orders are solved. The search ends
-    when all legs of the cheapest orders have been solved. Every order with an unsolved leg then
-    costs at least as much as these, even with the optimistic prediction for this leg. With more
-    waypoints than the constant `orders.MOST_EXACT`, the number of rounds is limited.
+    ranked by their costs. A leg that has not been solved counts with an optimistic prediction of
+    its cost. Then the unsolved legs of the cheapest orders are solved. The search ends when the
+    cheapest orders have no unsolved leg. Every other order then costs at least as much, even by the
+    optimistic predictions. With more waypoints than the constant `orders.MOST_EXACT`, the number of
+    rounds is limited.
 
     Parameters
     ----------

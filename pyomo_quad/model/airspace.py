@@ -371,21 +371,6 @@ def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
     return sqrt(squared_distance + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
-def _largest(distances: Sequence[Any], width: Any) -> Any:
-    """Return a smooth lower bound of the largest of several distances [m].
-
-    Parameters
-    ----------
-    distances : sequence of number or expression
-        Signed distances of a place from the balls whose intersection is a zone [m]. The place is
-        outside the zone if the largest distance is positive.
-    width : number or expression
-        Width of the smoothing [m]: the maximum of two distances is smoothed if they differ by less
-        than about this width.
-    """
-    return reduce(lambda one, other: saturated(one, other, width), distances)
-
-
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
@@ -428,4 +413,4 @@ def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) 
         )
         for ball in zone.balls
     ]
-    return float(_largest(distances, EDGE_WIDTH_M))
+    return float(reduce(lambda one, other: saturated(one, other, EDGE_WIDTH_M), distances))

@@ -138,7 +138,7 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the argument that minimises a function of one variable, such as cost over speed.
+    """Return the minimiser of a function of one variable.
 
     `trials` are arguments of the function in ascending order. The function first finds the best
     trial. A bounded search between the two neighbours of the best trial then gives the result.

@@ -104,9 +104,10 @@ def refuse_other_endings(file: Path, name: str) -> None:
 def chosen_drawing(
     offered: Iterable[Drawing], flight: "StyledFlight", what: str, name: str
 ) -> Drawing:
-    """Return the figure named `what`: one of the offered figures, or a column over time.
+    """Return the figure that a user names: an offered figure, or a column over time.
 
-    If no offered figure has this name, the figure shows the column `what` of the flight's table.
+    If no offered figure has the name `what`, the figure shows the column `what` of the flight's
+    table.
 
     Parameters
     ----------

@@ -116,7 +116,7 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     def above(spline: FloatArray) -> FloatArray:
         """Return the Bernstein coefficients of spline minus ground in each cell of the grid.
 
-        For a surface below the terrain, the heights of the ground are multiplied by -1 beforehand.
+        The heights of the ground are those of the enclosing function, multiplied by its `side`.
 
         Parameters
         ----------

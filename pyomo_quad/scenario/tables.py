@@ -56,9 +56,9 @@ class Gains(Part):
 
     Because of the division by mass and inertia, the defaults suit vehicles of any size. The default
     gains place the poles of the position error at 1.5 and 3 rad/s, of the tilt command at 12 rad/s,
-    of the attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. Each control loop is at
-    least twice as fast as the next outer loop, and the response to a step of the position command
-    settles in less than 3 s.
+    of the attitude error at 6 and 15 rad/s and of the rotors at 60 rad/s. The
+    attitude is thus controlled at least twice as fast as the position, and the rotors four times as
+    fast as the attitude. The response to a step of the position command settles in less than 3 s.
     """
 
     position: Number = _rate("position error to velocity (k1)", 1.5)

@@ -441,22 +441,22 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 
 
 def is_comparable(flight: Flight) -> bool:
-    """Return whether a flight arrived within all limits and its owed energy is known.
+    """Return whether the energy of a flight can be compared with those of other flights.
 
-    The owed energy is the energy that the vehicle needs from the flight's end state to the exact
-    goal state.
+    The flight must arrive and keep all limits. The energy that the vehicle still needs from the
+    flight's end state to the exact goal state (the owed energy) must be known.
     """
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
 
 
 def settled_energy(flight: Flight) -> float:
-    """Return the energy of a flight, plus its owed energy if it arrived [J].
+    """Return the energy of a flight to the exact goal state [J].
 
-    The owed energy is the energy that the vehicle needs from the flight's end state to the exact
-    goal state. A flight has arrived if it ends at the goal and nearly at rest (see `has_arrived`).
-    If the flight did not arrive, or if its owed energy is unknown, the result is the energy of the
-    flight alone.
+    A simulated flight ends near the goal. The energy that the vehicle still needs from there (the
+    owed energy) is added. A flight has arrived if it ends at the goal and nearly at rest (see
+    `has_arrived`). If the flight did not arrive, or if its owed energy is unknown, the result is
+    the energy of the flight alone.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)

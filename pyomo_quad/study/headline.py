@@ -196,10 +196,10 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 
 
 def settled_of(row: Row) -> float:
-    """Return the energy of a flight plus its owed energy, from its comparison row [J].
+    """Return the energy of a flight to the exact goal state, from its comparison row [J].
 
-    The owed energy is the estimated energy that the vehicle still needs from the flight's end state
-    to the exact goal state.
+    The energy includes an estimate of the energy that the vehicle still needs from the flight's end
+    state to the goal state.
     """
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 

@@ -407,13 +407,13 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with their owed energy: the energy from the end to the exact goal state.
+    """Return the flights with the energy that each still needs to the exact goal state.
 
-    The owed energy is estimated from the flight's end state with the costates of a plan at its end.
-    Without a wind forecast, these are the costates of the run's plan for all flights. With a
-    forecast, the run's plan was made for the forecast wind, and only its own flight uses its
-    costates. The other flights were simulated in the actual wind. For them, another plan is solved
-    for the actual wind, and its costates are used.
+    This energy (the owed energy) is estimated from the flight's end state with the costates of a
+    plan at its end. Without a wind forecast, these are the costates of the run's plan for all
+    flights. With a forecast, the run's plan was made for the forecast wind, and only its own flight
+    uses its costates. The other flights were simulated in the actual wind. For them, another plan
+    is solved for the actual wind, and its costates are used.
 
     Parameters
     ----------

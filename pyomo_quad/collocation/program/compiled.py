@@ -909,7 +909,7 @@ def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions
     j_rows, j_columns = jacobian.sparsity().get_triplet()
     h_rows, h_columns = hessian.sparsity().get_triplet()
     return DerivedFunctions(
-        values=_values(name, plain.merged(plain.rows), variables, data),
+        values=_values(name, plain.with_calls(plain.rows), variables, data),
         jacobian=casadi.Function(
             f"{name}_jacobian", [variables, data], [plain.merged(_nonzeros(jacobian))]
         ),

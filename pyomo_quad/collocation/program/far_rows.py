@@ -183,8 +183,4 @@ def run_without_far_rows(
     if not found.is_converged or keeps.all():
         return found
     whole = run(program, bounds, scaling, found.z, multipliers=found.multipliers, **settings)
-    return replace(
-        whole,
-        history=(*found.history, *whole.history),
-        wall_s=found.wall_s + whole.wall_s,
-    )
+    return whole.after(found)

@@ -76,7 +76,7 @@ _BEGUN_FAR, _FAR_INSIDE = 1e-5, 1e-4
 # barrier parameter falls, below Ipopt's 1.5, so that no single fall is large; and multiple of the
 # barrier parameter to which each barrier problem is solved.
 _MOVED_INSIDE = 1e-3
-_FALLING_SLOWLY = ("mu_superlinear_decrease_power", 1.2), ("barrier_tol_factor", 1e4)
+_FALLING_SLOWLY = {"mu_superlinear_decrease_power": 1.2, "barrier_tol_factor": 1e4}
 # Settings of a solve without multipliers whose first point violates many limits: the barrier
 # parameter begins large and falls by as much as a single good step allows.
 _FROM_AFAR: tuple[tuple[str, Any], ...] = (
@@ -212,15 +212,13 @@ class SolverOptions:
         distance : StartDistance
             Expected distance of the start from the given point.
         """
-        begun, pushes = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
-        falling: tuple[tuple[str, Any], ...] = ()
+        begun, chosen = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
         if distance is StartDistance.NONE:
-            begun, pushes = 0.0, dict.fromkeys(_PUSHES, _NEAR)
+            begun, chosen = 0.0, dict.fromkeys(_PUSHES, _NEAR)
         elif distance is StartDistance.FAR:
-            begun, pushes = _BEGUN_FAR, dict.fromkeys(_PUSHES, _MOVED_INSIDE)
-            falling = _FALLING_SLOWLY
-        chosen = ("mu_init", max(parameter, begun)), *pushes.items(), *falling
-        return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen))
+            begun, chosen = _BEGUN_FAR, dict.fromkeys(_PUSHES, _MOVED_INSIDE) | _FALLING_SLOWLY
+        chosen["mu_init"] = max(parameter, begun)
+        return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen.items()))
 
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start with a given expected change of the objective.
@@ -442,6 +440,14 @@ class IpoptResult:
         constraints.
         """
         return replace(self, z=self.z[columns], multipliers=self.multipliers.part(columns, rows))
+
+    def after(self, earlier: IpoptResult) -> IpoptResult:
+        """Return this result with the history and the wall-clock time of an earlier solve added."""
+        return replace(
+            self,
+            history=(*earlier.history, *self.history),
+            wall_s=earlier.wall_s + self.wall_s,
+        )
 
 
 @dataclass
@@ -860,11 +866,7 @@ def run_past_the_barrier(
         sharper = solve(steeper, result.z, options=fewer, multipliers=result.multipliers)
         if not sharper.is_converged:
             break
-        result = replace(
-            sharper,
-            history=(*result.history, *sharper.history),
-            wall_s=result.wall_s + sharper.wall_s,
-        )
+        result = sharper.after(result)
     return result
 
 

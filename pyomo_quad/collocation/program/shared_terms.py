@@ -108,7 +108,14 @@ class WithoutCalls:
         casadi.SX
             The merged column, with the calls in place of these symbols.
         """
-        found = casadi.cse(column)
+        return self.with_calls(casadi.cse(column))
+
+    def with_calls(self, column: Any) -> Any:
+        """Insert calls of interpolation tables in place of the symbols that stand for them.
+
+        `column` is a column of expressions computed from this object's expressions.
+        """
+        found = column
         for results, called, arguments in reversed(self.calls):
             found = casadi.substitute(found, results, called(arguments))
         return found

@@ -279,7 +279,7 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Objects that give the values of data over time without a CasADi expression. A `Schedule`
+        Objects that compute data over time for which there is no CasADi expression. A `Schedule`
         serves a rule that branches on time or looks up numbers by time. It gives the branch that
         the rule takes, and the numbers in the branch. A `Phases` object serves a horizon that free
         times (times that the solve determines) divide into phases. It gives the phase that contains

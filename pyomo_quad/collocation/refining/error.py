@@ -379,7 +379,7 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return points and weights of a finer quadrature rule than that of the collocation points.
+    """Return points and weights of a quadrature rule with four panels in each element.
 
     `degree` is the degree of the element. The element goes from 0 to 1, and is divided into four
     panels of equal width. Each panel has a Gauss rule with degree + 1 points. The element's right

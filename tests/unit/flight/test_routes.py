@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import dijkstra
 from pyomo_quad import processes
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.collocation import Mesh
+from pyomo_quad.collocation import Mesh, Status
 from pyomo_quad.flight.flight import POSITION_STATES, VELOCITY_STATES
 from pyomo_quad.flight.mission_problem import MissionProblem
 from pyomo_quad.flight.route_flights import (
@@ -368,6 +368,27 @@ def test_the_best_solution_is_flown_in_less_time_until_that_saves_nothing(monkey
     assert Flights().compared(journeys)[0].objective == min(cost.values())
     # A single journey is solved from both guesses.
     assert Flights().compared(journeys[:1])[0].objective == min(cost.values())
+
+
+def test_no_further_solve_begins_at_a_failed_one(monkeypatch):
+    monkeypatch.setattr(processes, "cores", lambda _most, **_: 1)
+    journeys = find_journeys(airspace(floor=0.0, ceiling=9.0), [START, GOAL])
+    failed = solution_at(1.0, 100.0, Mesh.uniform(4, 3))
+    failed.status = Status.INFEASIBLE
+
+    class Flights(CoarseFlights):
+        has_several_optima = True
+
+        def smooth_guess(self, _journey):
+            return None
+
+        def fly(self, _journey):
+            return failed
+
+        def fly_again(self, *_arguments):
+            pytest.fail("solved again")
+
+    assert Flights().compared(journeys)[0] is failed
 
 
 def test_a_guess_from_a_solution_in_another_time_follows_its_path_at_another_speed():
