@@ -23,6 +23,7 @@ def planner():
     return PLANNER
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["paper_calm", "paper_wind"])
 def test_the_paper_s_missions_are_within_one_per_cent(planner, name):
     told = load_scenario(SCENARIOS / f"{name}.toml")
@@ -73,6 +74,7 @@ def test_no_plan_of_a_random_mission_is_below_its_bound(planner, power, coupling
             assert other.lower_bound_J <= energy_under(model, plan), told.mission
 
 
+@pytest.mark.lengthy
 def test_the_plan_flown_under_feedback_is_not_below_the_bound(planner):
     # Of all controlled flights this one comes nearest to it.
     told = load_scenario(SCENARIOS / "paper_wind.toml")
@@ -81,6 +83,7 @@ def test_the_plan_flown_under_feedback_is_not_below_the_bound(planner):
     assert certified(told).lower_bound_J <= flight.energy_J
 
 
+@pytest.mark.lengthy
 def test_a_controlled_flight_of_a_random_mission_is_not_below_its_bound(planner):
     told = random_mission(np.random.default_rng(5), "motor", "drag")
     flight = fly_baseline(told, Reference.QUINTIC, dynamics=planner.dynamics(told))

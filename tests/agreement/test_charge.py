@@ -22,6 +22,7 @@ def hold(found):
         assert plans[0].energy <= (1 + ALIKE) * plans[1].energy, pair.name
 
 
+@pytest.mark.lengthy
 def test_the_plan_of_least_charge_draws_no_more_than_that_of_least_energy():
     (pair,) = pairs(islice(missions(), 1))
     hold([pair])
@@ -36,6 +37,7 @@ def test_on_random_missions_the_least_charge_is_never_more():
     hold(pairs())
 
 
+@pytest.mark.lengthy
 def test_the_aim_changes_nothing_but_the_optimum():
     told = plan("paper_calm", "mission.aim='charge'")
     frame = told.to_frame(1000.0)
@@ -47,6 +49,7 @@ def test_the_aim_changes_nothing_but_the_optimum():
     assert told.solution.objective == pytest.approx(3600 * full * charge_drawn(told), rel=1e-7)
 
 
+@pytest.mark.lengthy
 def test_a_run_compares_the_aims_and_says_where_they_part():
     fast = ("mission.duration=3.75", "vehicle.attitude='euler'", "solver.accuracy='standard'")
     found = energy_and_charge(plan("paper_calm", *fast), planner=PLANNER)

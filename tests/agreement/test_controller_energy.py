@@ -22,6 +22,7 @@ from tests import flights
 from tests.unit.flight.flat_dynamics import FlatDynamics, table_2_wind
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["paper_calm", "paper_wind"])
 def test_the_plans_controls_cost_in_the_controllers_plant_what_the_optimiser_says(name):
     plan = flights.plan(name)
@@ -31,6 +32,7 @@ def test_the_plans_controls_cost_in_the_controllers_plant_what_the_optimiser_say
     assert flight.is_verified
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("name", "wind"), [("paper_calm", lambda _t: np.zeros(3)), ("paper_wind", table_2_wind)]
 )

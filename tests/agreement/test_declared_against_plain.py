@@ -55,6 +55,7 @@ def test_state_derivative_with_drag(drag, is_exact):
     assert largest_difference(instant, drag, is_exact=is_exact) < AGREEMENT
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("coupling", [pytest.param("acceleration", marks=pytest.mark.slow), "drag"])
 @pytest.mark.parametrize(
     "numbers",
@@ -78,6 +79,7 @@ def test_state_derivative_with_air_in_body_axes(numbers, coupling):
     assert largest_difference(instant, drag, is_exact=True, rotor_air=rotor_air) < AGREEMENT
 
 
+@pytest.mark.lengthy
 def test_air_in_body_axes_has_units_and_is_declared_only_where_it_acts():
     numbers = {"rotor_drag_plane": 1e-4, "translational_lift": 1e-3, "parasitic_drag": [0, 0, 1e-2]}
     model = build_model(scenario(vehicle=numbers | {"motor_time_constant": 0.05}))
@@ -183,6 +185,7 @@ def test_momentum_power():
         assert value(balance.body) == pytest.approx(value(balance.upper), abs=100 * AGREEMENT)
 
 
+@pytest.mark.lengthy
 def test_units_of_momentum_power():
     model = momentum_instant().model
     assert_units_consistent(model)
@@ -202,6 +205,7 @@ def test_motor_current_and_voltage():
         )
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("use", "cell", "series", "parallel"),
     [

@@ -19,6 +19,7 @@ def test_same_optimum_on_the_same_mesh(name, has_wind):
     assert solution.objective == pytest.approx(by_hand.energy_J, rel=1e-9)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("name", "has_wind"), MISSIONS)
 def test_the_plan_as_shipped_agrees_with_a_converged_mesh(name, has_wind):
     plan = Planner().solve(load_scenario(f"scenarios/{name}.toml"))

@@ -88,6 +88,7 @@ def miss(plan):
     return np.linalg.norm(flown(plan)[:3] - plan.scenario.mission.goal.position)
 
 
+@pytest.mark.lengthy
 def test_a_quarter_turn_ends_where_it_was_planned():
     plan = planned("euler", *YAW.items())
     assert plan.is_verified
@@ -104,6 +105,7 @@ def test_a_dash_ends_where_it_was_planned():
     assert miss(plan) < SAME_PLACE
 
 
+@pytest.mark.lengthy
 def test_equated_rates_carry_a_quarter_turn_astray_and_the_plan_says_so():
     plan = planned("paper", *YAW.items())
     assert plan.is_verified
@@ -117,6 +119,7 @@ def test_equated_rates_carry_a_quarter_turn_astray_and_the_plan_says_so():
     )
 
 
+@pytest.mark.lengthy
 def test_the_papers_own_mission_is_within_the_range_of_its_attitude():
     plan = flights.plan("paper_calm")
     assert 1e-3 < miss(plan) < 5e-3
@@ -156,6 +159,7 @@ def test_the_controller_knows_the_declared_kinematics(attitude):
         np.testing.assert_allclose(back, turning, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.lengthy
 def test_feedback_follows_a_quarter_turn_at_the_cost_of_its_plan():
     plan = planned("euler", *YAW.items())
     flight = fly_baseline(plan.scenario, Reference.PLAN, dynamics=plan.dynamics, plan=plan)

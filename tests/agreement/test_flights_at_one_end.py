@@ -52,6 +52,7 @@ def plan(planner):
     return planner.solve(coarse())
 
 
+@pytest.mark.lengthy
 def test_the_price_of_a_place_is_what_flying_there_costs_less(planner, plan):
     step = (0.02, -0.01, 0.03)
     beyond, before = (
@@ -84,6 +85,7 @@ def ending_with(sink, spin):
     return build
 
 
+@pytest.mark.lengthy
 def test_the_price_of_motion_and_of_spinning_rotors_is_what_they_cost(plan):
     sink, spin = 0.02, 1.5
     sinking, rising = (
@@ -96,6 +98,7 @@ def test_the_price_of_motion_and_of_spinning_rotors_is_what_they_cost(plan):
     assert plan.owed_energy(moved) == pytest.approx((rising - sinking) / 2, rel=1e-3)
 
 
+@pytest.mark.lengthy
 def test_the_tangent_does_not_undercharge(plan):
     # The least energy is convex in the end: what it owes at a distance is at most its price.
     final = final_states(plan)
@@ -103,6 +106,7 @@ def test_the_tangent_does_not_undercharge(plan):
     assert plan.energy - Planner(ending_with(0.2, 0.0)).solve(coarse()).energy <= far
 
 
+@pytest.mark.lengthy
 def test_no_flight_that_arrives_lies_below_the_optimum_or_the_bound():
     # On the mission of the paper the plan under feedback spends less than the bound allows.
     mission = {"goal": {"position": [6.0, 7.0, 8.0]}, "duration": 10.0}
@@ -125,6 +129,7 @@ def test_no_flight_that_arrives_lies_below_the_optimum_or_the_bound():
     assert (table[Column.EXCESS_ENERGY] > 0.0).all()
 
 
+@pytest.mark.lengthy
 def test_a_flight_without_a_plan_for_its_wind_has_no_price(planner):
     told = coarse(wind={"use": "constant", "speed": 1.0, "forecast": {"use": "calm"}})
     plan, dynamics = planner.solve(told), planner.dynamics(told)
@@ -164,6 +169,7 @@ def with_a_mast(told):
     return model
 
 
+@pytest.mark.lengthy
 def test_a_limit_of_ones_own_that_a_flight_breaks_is_named_with_its_breach():
     told = coarse()
     dynamics = Planner(with_a_mast).dynamics(told)
@@ -194,6 +200,7 @@ def test_units_are_those_an_engineer_writes(vehicle, name, unit):
     assert vehicle.unit(name) == unit
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("cells_series", "is_fed"), [(3, False), (8, True)])
 def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fed):
     # The published friction asks for 1.3 kW; the pack of three cells gives some 750 W.
@@ -211,6 +218,7 @@ def test_no_flight_on_a_pack_that_cannot_feed_it_is_verified(cells_series, is_fe
         assert plan.message.startswith("battery: the pack lacks ")
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("cells_series", "is_fed"), [(1, False), (2, False), (3, True)])
 def test_no_flight_on_a_pack_that_cannot_turn_the_motors_is_verified(cells_series, is_fed):
     # A motor that holds the hover speed needs omega / kv + R kappa omega^2 / kt = 9.83 V.

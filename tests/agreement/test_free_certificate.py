@@ -13,6 +13,7 @@ def free(**tables):
     return scenario(mission=mission | tables.pop("mission", {}), **tables)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "mission", [{"goal": {"position": [30.0, -4.0, -2.0]}}, {"duration_min": 6.0}]
 )
@@ -63,6 +64,7 @@ def test_where_a_mass_that_changes_has_no_bound_the_reason_is_given(tables, reas
     assert reason in found.reason
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("tables", "why"),
     [

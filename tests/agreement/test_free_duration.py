@@ -24,6 +24,7 @@ def free(goal=(6.0, 7.0, 8.0), *, wind="calm", solver=ON_ONE_MESH, **mission):
     )
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("goal", "wind", "price"),
     [
@@ -71,6 +72,7 @@ def test_no_fixed_time_costs_less_than_the_chosen_one():
     assert min(shorter, longer) > plan.energy
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("limits", [{"duration_min": 2.6}, {"duration_max": 2.39}])
 def test_a_limit_on_the_time_binds(limits):
     # The best time is 2.41 s.

@@ -25,6 +25,7 @@ def ring(count, radius=0.25):
 UNEQUAL = ([[0.3, 0.2], [-0.1, 0.2], [-0.3, -0.2], [0.1, -0.2]], [-1, 1, -1, 1])
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("rotors", "air"), [(ring(4), {}), (UNEQUAL, AIR), (ring(6), AIR), (ring(8), {})]
 )

@@ -31,6 +31,7 @@ def place(*position, **more):
     return {"position": list(position), **more}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("duration", "guess"),
     [(10.0, (5.0, 5.0)), pytest.param("free", (2.0, 2.0), marks=pytest.mark.slow)],
@@ -67,6 +68,7 @@ def test_a_refined_plan_is_that_of_a_fine_mesh_by_hand(duration, guess, wind):
     assert plan.passing_times_s[0] == pytest.approx(by_hand.passing_times_s[0], abs=1e-3)
 
 
+@pytest.mark.lengthy
 def test_a_waypoint_that_the_best_flight_passes_anyway_costs_nothing(tmp_path):
     planner = PLANNER
     without = planner.solve(through())
@@ -80,6 +82,7 @@ def test_a_waypoint_that_the_best_flight_passes_anyway_costs_nothing(tmp_path):
     assert Plan.load(tmp_path / "plan.npz").passing_times_s == plan.passing_times_s
 
 
+@pytest.mark.lengthy
 def test_a_given_time_a_radius_and_a_speed_are_kept_and_a_baseline_flies_the_same_mission():
     asked = place(2.0, 4.0, 1.0, at=6.0, radius=0.5, speed_max=0.3, yaw=0.2)
     told, planner = through(asked), PLANNER
@@ -123,6 +126,7 @@ def test_a_parcel_is_left_where_the_flight_holds():
     assert speeds[1] ** 2 / speeds[0] ** 2 == pytest.approx(np.full(4, 1.3 / 1.5), rel=1e-9)
 
 
+@pytest.mark.lengthy
 def test_a_mirror_image_mission_has_the_mirror_image_route():
     planner = PLANNER
     sides = (1.0, -1.0)

@@ -21,6 +21,7 @@ def shaft_power(thrust):
     return 4 * KAPPA * (thrust / (4 * KB)) ** 1.5
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("power", ["motor", "shaft", "constant_efficiency"])
 def test_hovering_in_place_is_its_own_bound(power):
     found = certified(scenario(power={"model": power}, mission=IN_PLACE))
@@ -68,6 +69,7 @@ def test_the_mean_of_a_harmonic_wind_by_hand():
     assert mean * (1 - SAMPLING) <= found.lower_bound_J <= mean * 1.002
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("coupling", ["acceleration", "drag"])
 @pytest.mark.parametrize("power", ["motor", "shaft"])
 def test_the_bound_is_all_but_reached_by_a_point_with_free_thrust(power, coupling):
@@ -135,6 +137,7 @@ def waypoints(**each):
     ]
 
 
+@pytest.mark.lengthy
 def test_passages_at_given_times_are_bounded_by_the_spline_through_them():
     # Gentle, the power is nearly quadratic in the acceleration, of which splines have least.
     told = scenario(mission={"waypoints": waypoints(at=(6.0, 11.0)), "duration": 16.0})
@@ -155,6 +158,7 @@ def test_free_passages_are_bounded_below_those_at_any_given_times():
     assert least == pytest.approx(min(found), rel=1e-3)
 
 
+@pytest.mark.lengthy
 def test_passing_within_a_distance_is_never_dearer():
     missions = [{"waypoints": waypoints(radius=(r, r)), "duration": 9.0} for r in (0.0, 0.5)]
     exact, near = (certified(scenario(mission=m)).lower_bound_J for m in missions)

@@ -56,6 +56,7 @@ def pairs_of(told):
     return Pairs(told, dynamics, standing, most, wind_corners(told)), steady
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("field", [uniform, shear, vortex, jet])
 @pytest.mark.parametrize("scale", [1.0, -0.7])
 def test_no_wind_of_the_field_is_outside_of_the_polyhedron(tmp_path, field, scale):
@@ -94,6 +95,7 @@ def test_cells_without_wind_count_only_where_their_wind_is_held(tmp_path):
     assert 9.0 <= known.max() < 9.1 < held.max()
 
 
+@pytest.mark.lengthy
 def test_no_wind_between_the_corners_is_more_favourable_than_the_best_corner(tmp_path):
     told = in_field(tmp_path, vortex)
     found, steady = pairs_of(told)
@@ -173,6 +175,7 @@ def test_a_potential_rises_round_a_wall_by_no_more_than_the_shortest_way():
     assert 2.0 * 60.0 < 0.9 * shortest <= rise <= shortest
 
 
+@pytest.mark.lengthy
 def test_motions_in_a_cell_spend_at_least_what_its_gradients_credit(tmp_path):
     told = in_field(tmp_path, shear, duration="free")
     pairs, steady = pairs_of(told)
@@ -234,6 +237,7 @@ def test_a_nearly_uniform_field_has_nearly_the_bound_of_its_mean_wind(tmp_path):
     assert 0.97 * mean <= found <= 1.002 * mean
 
 
+@pytest.mark.lengthy
 def test_a_field_that_accelerates_has_no_bound(tmp_path):
     found = certified(in_field(tmp_path, shear, coupling="acceleration"))
     assert found.lower_bound_J is None

@@ -63,6 +63,7 @@ def test_a_driven_decay_has_the_variance_of_its_closed_form():
     np.testing.assert_allclose(onward[:, 0, 0], expected, rtol=1e-12)
 
 
+@pytest.mark.lengthy
 def test_a_long_hover_has_the_covariance_of_the_stationary_lyapunov_equation():
     told = mission(5.0, [0.0, 0.0, 10.0], {"wind_at_6_m": 7.7}, use="calm", speed=0.0)
     plan = PLANNER.solve(told)
@@ -86,6 +87,7 @@ def test_a_long_hover_has_the_covariance_of_the_stationary_lyapunov_equation():
     np.testing.assert_allclose(found, expected, rtol=0.02)
 
 
+@pytest.mark.lengthy
 def test_an_error_of_the_forecast_moves_flights_as_a_flight_with_the_error_shows():
     still = {"wind_at_6_m": 0.0}
     told = mission(4.0, [4.0, 0.0, 10.0], still, speed_deviation=0.2)
@@ -162,6 +164,7 @@ def compare_with_flights(duration, place, count, within):
             assert expected == pytest.approx(seen, rel=within), (spread.t[k], names)
 
 
+@pytest.mark.lengthy
 def test_flights_in_light_turbulence_spread_as_the_linear_covariance_says():
     compare_with_flights(4.0, (4.0, 0.0, 10.0), count=40, within=0.4)
 

@@ -41,6 +41,7 @@ def flown_in(plan, offset=0.0):
     return max(np.abs(flight[f"wind_{name}_m_per_s"] - spline[name]).max() for name in SPEEDS)
 
 
+@pytest.mark.lengthy
 def test_waypoints_are_passed_in_the_measured_wind(blown):
     told = blown(GOAL | {"duration": 10.0} | PASSING, wind={"time_offset": 7.3})
     plan = PLANNER.solve(told)
@@ -48,6 +49,7 @@ def test_waypoints_are_passed_in_the_measured_wind(blown):
     assert flown_in(plan, offset=7.3) < 1e-9
 
 
+@pytest.mark.lengthy
 def test_a_chosen_time_costs_what_the_same_time_costs_when_given(blown):
     """Where times are given the wind is numbers at the points; where chosen, a formula of time."""
     chosen = PLANNER.solve(blown(FREE, **COARSE))
@@ -100,6 +102,7 @@ def test_still_air_stills_it(blown):
     np.testing.assert_array_equal(winds(still, (0.0, 3.0, 9.0)), 0.0)
 
 
+@pytest.mark.lengthy
 def test_missions_of_other_longest_times_read_other_rows(blown):
     """A model has the rows that its longest flight reads: another flight needs a model anew."""
     for longest in (1.0, 29.0):

@@ -118,6 +118,7 @@ def test_a_measured_wind_is_a_cubic_spline_in_wind_time(tmp_path):
     assert at.read("wind.velocity_y") == pytest.approx(-2 * cubic(5.0 + 1.25), rel=1e-9)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("model", "watts", "tolerance"),
     [

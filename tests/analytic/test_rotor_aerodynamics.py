@@ -15,6 +15,7 @@ WEIGHT, ARM, KB, INERTIA = 1.3 * 9.81, 0.175, 3.8305e-6, 0.081
 HURRIED = {"vehicle.attitude": "euler", "mission.duration": 4.5, "solver.tolerance": 1e-3}
 
 
+@pytest.mark.lengthy
 def test_drag_in_the_rotor_plane_tilts_level_flight():
     drag, speed = 1.19e-4, 8.0
     told = scenario(vehicle={"rotor_drag_plane": drag})

@@ -84,6 +84,7 @@ CASES = [
 ]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(("height", "velocity", "intensity"), CASES)
 def test_filters_have_the_spectra_and_deviations_of_the_specification(height, velocity, intensity):
     filters = Filters(in_turbulence(intensity=intensity), height, velocity)
@@ -100,6 +101,7 @@ def test_filters_have_the_spectra_and_deviations_of_the_specification(height, ve
     np.testing.assert_allclose(found, deviations, rtol=2e-3)
 
 
+@pytest.mark.lengthy
 def test_laws_are_held_below_ten_feet_and_above_a_thousand():
     told = in_turbulence(intensity="light")
     for beyond, border in ((-5.0, 10.0 * FOOT), (500.0, 1000.0 * FOOT)):
@@ -133,6 +135,7 @@ def flown(told):
     return fly_reference(told, Reference.QUINTIC, dynamics=vehicle_flown(PLANNER, told)).flown
 
 
+@pytest.mark.lengthy
 def test_a_flight_meets_gusts_of_its_seed_and_plans_do_not():
     hop = {"goal": {"position": [1.0, 2.0, 8.0]}, "start": {"position": [0.0, 0.0, 8.0]}}
     calm = scenario(wind=WIND, vehicle=DRAG, mission=hop | {"duration": 3.0})

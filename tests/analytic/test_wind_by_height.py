@@ -99,6 +99,7 @@ def law(z):
     return 6.0 * (z / 8.0) ** 0.22
 
 
+@pytest.mark.lengthy
 def test_a_measured_profile_is_the_cubic_spline_and_nears_its_law_by_the_fourth_order(tmp_path):
     tried = np.linspace(3.1, 39.3, 60)
     errors = []
@@ -120,6 +121,7 @@ def speeds_by_law(heights):
     return speeds(Instant.of(wind={"use": "constant", "speed": 6.0, "profile": profile}), heights)
 
 
+@pytest.mark.lengthy
 def test_beyond_the_measured_heights_the_wind_is_held_smoothly(tmp_path):
     instant = Instant.of(wind=measured(tmp_path, (2.0, 3.0, 5.0, 9.0), law))
     for beyond, end in (((-50.0, 0.0, 1.4), 2.0), ((9.6, 20.0, 1e4), 9.0)):
@@ -133,6 +135,7 @@ def test_beyond_the_measured_heights_the_wind_is_held_smoothly(tmp_path):
 MANY = (tuple(np.linspace(0.0, 60.0, 40)), tuple(np.geomspace(0.5, 100.0, 40)))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("heights", [(2.0, 12.0), (2.0, 5.0, 12.0), *MANY])
 def test_few_heights_and_many(tmp_path, heights):
     def bent(z):
@@ -178,6 +181,7 @@ def test_gusts_lie_along_the_wind_at_ten_metres(tmp_path):
     assert direction == pytest.approx(np.pi / 4)
 
 
+@pytest.mark.lengthy
 def test_what_does_not_know_heights_says_so_of_measured_ones(tmp_path):
     told = scenario(wind=measured(tmp_path, (0.0, 3.0, 5.0, 7.0), law) | {"coupling": "drag"})
     model = build_model(told)
@@ -232,6 +236,7 @@ GROWING = {"profile": {"law": "power", "exponent": 0.4}}
 AGAINST, ALONG = {"direction": np.pi}, {"direction": 0.0}
 
 
+@pytest.mark.lengthy
 def test_the_plan_dives_below_a_head_wind():
     growing = PLANNER.solve(course(10.0, AGAINST | GROWING))
     assert growing.is_verified

@@ -40,6 +40,7 @@ def test_importing_changes_nothing_of_the_process(module):
     assert ended.returncode == 0, ended.stderr
 
 
+@pytest.mark.lengthy
 def test_imported_first_the_engine_leaves_pyomo_to_itself():
     alone, ours = (
         run(FIRST.format(module=module)) for module in ("pyomo.environ", "pyomo_quad.collocation")

@@ -41,6 +41,7 @@ def test_a_mission_errs_as_promised():
     assert abs(share - 0.03) < 1e-4
 
 
+@pytest.mark.lengthy
 def test_a_vehicle_flown_with_replanning_errs_by_what_its_mission_states():
     """The deviations of many drawn vehicles and winds are those of the scenario."""
     settings = next(missions(1, SEEDS[0]))

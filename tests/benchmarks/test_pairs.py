@@ -29,6 +29,7 @@ def told():
     return told_of(next(missions(1, DIRECTIONS[0])))
 
 
+@pytest.mark.lengthy
 def test_equal_directions_draw_equal_missions():
     one, other = (list(missions(2, direction)) for direction in DIRECTIONS[:2])
     assert one == list(missions(2, DIRECTIONS[0])) != other
@@ -43,6 +44,7 @@ def test_places_lie_free_and_as_far_apart_as_told(told):
     assert not is_free(told, (*house, 15.0))
 
 
+@pytest.mark.lengthy
 def test_places_that_buildings_and_the_edge_of_the_field_part_are_no_pair(told):
     """Houses 10 and 12 and the field's edge close a yard; a place beside it is in the open."""
     yard = np.array([329.0, 215.8, 15.0])
@@ -56,6 +58,7 @@ def test_places_that_buildings_and_the_edge_of_the_field_part_are_no_pair(told):
     assert not joins(yard, goal)
 
 
+@pytest.mark.lengthy
 def test_random_routes_differ_and_lead_from_start_to_goal_past_all_buildings(told):
     journeys = random_routes(told, 4, seed=1)
     assert len({journey[0].length for journey in journeys}) == 4

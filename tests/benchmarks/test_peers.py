@@ -71,6 +71,7 @@ def test_a_first_guess_ends_where_the_problem_says_and_otherwise_at_the_start():
     assert PROBLEMS["moon landing"].guess(1.0) == [0, 0, 1]
 
 
+@pytest.mark.lengthy
 def test_a_peer_that_runs_too_long_is_ended_by_its_processor_seconds(monkeypatch, tmp_path):
     monkeypatch.setattr(peer_table, "PATIENCE_S", 1)
     monkeypatch.setattr(peer_table, "CACHE", tmp_path)
@@ -83,6 +84,7 @@ def test_a_peer_that_runs_too_long_is_ended_by_its_processor_seconds(monkeypatch
     assert ended.error == float("inf")
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["brachistochrone", "soft landing"])
 def test_this_engine_reaches_what_peers_are_asked_for(name):
     problem = PROBLEMS[name]

@@ -12,7 +12,7 @@ from pyomo_quad.report.report import PAGE_NAME, write_run_report
 from pyomo_quad.study.autopilot import TUNED_CRUISE
 from tests.synthetic_run import FLIGHTS, synthetic_run, with_tuned_autopilot
 
-pytestmark = pytest.mark.browser
+pytestmark = [pytest.mark.browser, pytest.mark.lengthy]
 
 selenium = pytest.importorskip(
     "selenium", reason="selenium is not installed: pip install '.[test]'"

@@ -63,6 +63,7 @@ def test_a_plan_becomes_a_dataset_with_units(plan):
     assert data.attrs["energy_J"] == plan.energy
 
 
+@pytest.mark.lengthy
 def test_a_plan_draws_and_writes_its_figures(plan, tmp_path):
     picture = plan.plot()
     assert picture.name == "path"
@@ -85,6 +86,7 @@ def test_a_plan_writes_the_report_of_the_command(plan, tmp_path):
         plan.report(tmp_path / "hop", figures="gif")
 
 
+@pytest.mark.lengthy
 def test_a_run_becomes_a_file_that_others_read(plan, tmp_path):
     result = pyomo_quad.run_scenario(plan.scenario, baselines=[])
     result.save(tmp_path / "hop.nc")
@@ -161,6 +163,7 @@ def test_importing_the_package_imports_no_solver():
     assert slow.isdisjoint(modules_after("import pyomo_quad"))
 
 
+@pytest.mark.lengthy
 def test_naming_the_commands_imports_no_solver():
     slow = {"pyomo", "pint", "casadi", "cyipopt", "scipy", "pandas", "matplotlib", "plotly"}
     assert slow.isdisjoint(modules_after("import pyomo_quad.cli.commands"))
@@ -173,6 +176,7 @@ def test_solving_imports_neither_statistics_nor_plots(name):
     assert slow.isdisjoint(modules_after(f"import {name}\nimport pyomo_quad.cli.solving"))
 
 
+@pytest.mark.lengthy
 def test_a_solve_without_figures_imports_only_what_it_uses(tmp_path):
     arguments = ["solve", PAPER_CALM, *QUICK, "--quiet", "--figures", "none", "--out"]
     program = (

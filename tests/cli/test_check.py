@@ -13,6 +13,7 @@ from pyomo_quad.version import __version__
 from tests.scenario_files import write_scenario
 
 
+@pytest.mark.lengthy
 def test_check_shows_value_unit_and_origin(tmp_path, capsys):
     file = write_scenario(tmp_path, "vehicle.payload = 0.1")
     assert main(["check", str(file), "--set", "gravity=9.8"]) == ExitCode.VERIFIED
@@ -33,6 +34,7 @@ def test_check_counts_the_four_controls_and_checks_units(tmp_path, capsys):
     assert "Units: consistent in every declared relation." in said
 
 
+@pytest.mark.lengthy
 def test_check_estimates_the_effort_and_says_that_it_is_rough(tmp_path, capsys):
     file = str(write_scenario(tmp_path))
     main(["check", file])
@@ -44,6 +46,7 @@ def test_check_estimates_the_effort_and_says_that_it_is_rough(tmp_path, capsys):
     assert effort["seconds"] > max(effort["features"].values(), default=0.0)
 
 
+@pytest.mark.lengthy
 def test_check_warns_of_what_the_mission_must_break(tmp_path, capsys):
     file = write_scenario(tmp_path)
     assert main(["check", str(file), "--set", "mission.duration=0.3"]) == ExitCode.VERIFIED
@@ -115,6 +118,7 @@ def test_version(capsys):
     assert capsys.readouterr().out == f"pyomo-quad {__version__}\n"
 
 
+@pytest.mark.lengthy
 def test_bad_input_leaves_no_traceback_in_a_real_process(tmp_path):
     file = write_scenario(tmp_path, "mission.duration = -10")
     done = subprocess.run(
@@ -127,6 +131,7 @@ def test_bad_input_leaves_no_traceback_in_a_real_process(tmp_path):
     assert done.stderr == f"{file}: mission.duration = -10 s; must be > 0.\n"
 
 
+@pytest.mark.lengthy
 def test_listing_the_library_imports_no_solver():
     program = "import sys; from pyomo_quad.cli import main; main(['library']); print(*sys.modules)"
     done = subprocess.run(

@@ -75,6 +75,7 @@ def assert_interrupted(ended):
     assert "interrupted; " in err
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("number", "delay_s"),
     [
@@ -94,6 +95,7 @@ def test_a_signal_during_the_imports_ends_the_command(tmp_path, number, delay_s)
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.lengthy
 def test_nohup_outlives_its_terminal(tmp_path):
     def ignore_the_terminal():
         signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -123,6 +125,7 @@ def handles(process, number):
     return all(caught >> (n - 1) & 1 for n in (signal.SIGALRM, number))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "number", [signal.SIGHUP, *(pytest.param(n, marks=pytest.mark.slow) for n in ENDING)]
 )
@@ -160,6 +163,7 @@ def flying(folder):
     return process
 
 
+@pytest.mark.lengthy
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
 @pytest.mark.parametrize(
     "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
@@ -172,6 +176,7 @@ def test_a_signal_in_flight_ends_the_copies_too(folder, number):
     assert leftovers(folder) == []
 
 
+@pytest.mark.lengthy
 @pytest.mark.skipif(len(os.sched_getaffinity(0)) < 2, reason="needs two cores")
 def test_a_run_that_is_killed_in_flight_leaves_the_folder_to_the_next(folder):
     before = content(folder)
@@ -183,6 +188,7 @@ def test_a_run_that_is_killed_in_flight_leaves_the_folder_to_the_next(folder):
     assert leftovers(folder) == []
 
 
+@pytest.mark.lengthy
 def test_a_signal_while_the_report_is_written_keeps_the_old_one(tmp_path, folder):
     before = content(folder)
     process = begin(folder, *QUICK)
@@ -287,6 +293,7 @@ def test_two_runs_do_not_mix(tmp_path, capsys):
     assert [file.name for file in folder.glob("[!.]*")] == ["mine.txt"]
 
 
+@pytest.mark.lengthy
 def test_folder_deleted_in_mid_run_is_one_line(tmp_path, capsys):
     (tmp_path / "own.py").write_text(
         "import pathlib, shutil\n"
@@ -371,6 +378,7 @@ def in_shell(line, *arguments, **changes):
     return done.returncode, done.stderr
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("line", "complaint"),
     [
@@ -390,6 +398,7 @@ def test_output_that_cannot_be_written_is_a_fault_in_one_line(line, complaint):
     assert in_shell(line, *LIBRARY) == (int(status), complaint)
 
 
+@pytest.mark.lengthy
 def test_closed_errors_do_not_spoil_an_answer():
     assert in_shell("2>&-", *LIBRARY)[0] == ExitCode.VERIFIED
     assert in_shell("2>/dev/full", "library", "nonsense")[0] == ExitCode.BAD_INPUT
@@ -413,6 +422,7 @@ def test_names_that_the_terminal_cannot_encode(tmp_path):
     assert (folder / "summary.json").exists()
 
 
+@pytest.mark.lengthy
 def test_a_bad_folder_is_refused_before_the_engine_is_imported(tmp_path):
     (tmp_path / "a_file").write_text("")
     (tmp_path / "foreign").mkdir()

@@ -28,6 +28,7 @@ def test_a_quintic_is_flown_and_written(tmp_path, capsys):
     assert frame["x_m"].iloc[-1] == pytest.approx(1.0, abs=0.02)
 
 
+@pytest.mark.lengthy
 def test_a_cruise_waits_no_longer_than_until_it_has_arrived(tmp_path, capsys):
     # Brisk enough to overshoot; the time of the mission is over before the goal is reached.
     brisk = (
@@ -89,6 +90,7 @@ def test_a_flight_out_of_control_is_one_line_and_writes_nothing(tmp_path, capsys
     assert (said.err.count("\n"), out.exists()) == (1, False)
 
 
+@pytest.mark.lengthy
 def test_the_rest_of_the_mission_is_planned_again(tmp_path, capsys):
     out = tmp_path / "flight"
     command = ["fly", PAPER_CALM, *QUICK, "--controller", "mpc", "--knowledge", "told"]
@@ -124,6 +126,7 @@ def test_an_interval_beyond_the_mission_is_one_line_and_writes_nothing(
     assert (said.count("\n"), list(tmp_path.iterdir())) == (1, [])
 
 
+@pytest.mark.lengthy
 def test_a_flight_planned_again_says_why_it_is_not_confirmed(tmp_path, capsys, monkeypatch):
     # Planned again a hundred times a second, a flight misses the usual tolerance as this one does.
     monkeypatch.setattr(baselines, "_AGREEING", replace(baselines._AGREEING, energy=1e-15))
@@ -140,6 +143,7 @@ def test_a_flight_planned_again_says_why_it_is_not_confirmed(tmp_path, capsys, m
 LIGHT = "--set=wind.turbulence.intensity=light"
 
 
+@pytest.mark.lengthy
 def test_a_plan_is_flown_many_times_from_its_report(tmp_path, capsys):
     plan, out = tmp_path / "plan", tmp_path / "flown"
     drag = "--set=wind.coupling=drag"

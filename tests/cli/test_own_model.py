@@ -56,6 +56,7 @@ def energy_of(*overrides):
     return solve_scenario(load_scenario(PAPER_CALM, [*quick, *overrides])).energy
 
 
+@pytest.mark.lengthy
 def test_the_optimum_changes_and_its_flight_confirms_it(with_drag):
     assert with_drag.status == ExitCode.VERIFIED
     assert with_drag.summary["energy_J"] > energy_of() + 0.01

@@ -16,6 +16,7 @@ from tests.command import ENVIRONMENT, SCENARIOS
 REPORT = SCENARIOS.parent / "reports" / "paper_wind"
 
 
+@pytest.mark.lengthy
 def test_a_figure_and_a_column_of_a_finished_run(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(["plot", str(REPORT), "energy"]) == ExitCode.VERIFIED
@@ -49,6 +50,7 @@ def test_what_cannot_be_drawn(tmp_path, monkeypatch, capsys, arguments, said):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("words", "offered"),
     [

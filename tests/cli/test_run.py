@@ -12,6 +12,8 @@ from pyomo_quad.report.report import find_run
 from pyomo_quad.scenario import load_scenario
 from tests.command import IMPOSSIBLE, PAPER_CALM, QUICK, SCENARIOS, run_here
 
+pytestmark = pytest.mark.lengthy
+
 FIRST_COLUMNS = [
     "scenario",
     "flight",

@@ -57,6 +57,7 @@ def test_paper_calm_is_verified(calm):
     assert f"{summary['energy_J']:.3f} J" in calm.out
 
 
+@pytest.mark.lengthy
 def test_a_free_duration_is_in_the_summary_and_its_price_is_not_in_the_energy(tmp_path):
     fields = ("duration='free'", "price_of_time=500.0", "goal.position=[0.0, 0.0, 2.0]")
     coarse = ("--set=solver.elements=12", "--set=solver.max_refinements=0")
@@ -92,6 +93,7 @@ def test_plan_has_one_row_per_node_and_the_promised_columns(calm):
     assert frame[["x_m", "y_m", "z_m"]].iloc[-1].tolist() == pytest.approx([6, 7, 8], abs=1e-9)
 
 
+@pytest.mark.lengthy
 def test_quiet_run_with_even_rows_in_the_default_folder(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     options = ("--quiet", "--rate", "50", "--set=battery.capacity=0.005", "--figures", "none")
@@ -109,6 +111,7 @@ def test_quiet_run_with_even_rows_in_the_default_folder(tmp_path, capsys, monkey
     assert times.diff().dropna().to_numpy() == pytest.approx(1 / 50)
 
 
+@pytest.mark.lengthy
 def test_impossible_mission_is_infeasible(impossible):
     assert impossible.status == ExitCode.NOT_SOLVED
     assert impossible.summary["status"] == "infeasible"
@@ -119,6 +122,7 @@ def test_impossible_mission_is_infeasible(impossible):
     assert first.endswith(f"See {impossible.folder}.")
 
 
+@pytest.mark.lengthy
 def test_failure_is_explained_in_the_summary(impossible):
     failure = impossible.summary["failure"]
     assert failure["shortest_duration_s"] > SHORTEST_WITH_INSTANT_ROTORS_S
@@ -128,10 +132,12 @@ def test_failure_is_explained_in_the_summary(impossible):
     assert all(cause in impossible.err for cause in failure["causes"])
 
 
+@pytest.mark.lengthy
 def test_json_is_the_summary(impossible):
     assert json.loads(impossible.out) == impossible.summary
 
 
+@pytest.mark.lengthy
 def test_best_iterate_of_a_failure_is_marked(impossible):
     frame = pd.read_csv(impossible.folder / "plan.csv")
     assert set(frame["status"]) == {"infeasible"}
@@ -147,6 +153,7 @@ def test_report_shows_the_flight(calm):
     assert "wind.svg" not in drawn  # no wind blows
 
 
+@pytest.mark.lengthy
 def test_report_of_a_failure_is_headed_as_one(impossible):
     assert impossible.read("report.md").startswith("# Failed, infeasible: ")
 

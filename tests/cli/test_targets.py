@@ -36,6 +36,7 @@ COMMANDS = EXPORTS | PICTURES
 OTHERS = "duration,x^0,x^1\n1.0,0.0,0.0\n"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", COMMANDS)
 def test_an_earlier_file_of_ours_is_replaced_and_a_strangers_is_not(tmp_path, capsys, name):
     command, out = COMMANDS[name], tmp_path / name
@@ -66,6 +67,7 @@ def test_a_vehicle_file_of_the_users_is_not_replaced(tmp_path, capsys):
     assert out.read_text() == "# mine\n"
 
 
+@pytest.mark.lengthy
 def test_schema_replaces_its_own_pages_and_no_readme_of_the_users(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for _ in range(2):
@@ -82,6 +84,7 @@ def test_schema_replaces_its_own_pages_and_no_readme_of_the_users(tmp_path, monk
     assert (tmp_path / "README.md").read_text() == "# My thesis\n"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["p.csv", "e.png"])
 def test_a_fifo_gets_the_bytes_and_stays_one(tmp_path, name):
     whole, fifo = tmp_path / f"whole.{name}", tmp_path / name

@@ -17,6 +17,7 @@ STRANGER = Path(__file__).parent / "stranger" / "stranger.toml"
 NO_FIGURES = ("--figures", "none")
 
 
+@pytest.mark.lengthy
 def test_ctrl_c_leaves_a_usable_plan_that_is_refined_later(tmp_path, monkeypatch, capsys):
     def stop(state):
         if state.has_usable:

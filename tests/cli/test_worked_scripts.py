@@ -12,6 +12,7 @@ from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 from tests.command import SCENARIOS
 
 
+@pytest.mark.lengthy
 def test_a_mission_of_ones_own(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     runpy.run_path(str(SCENARIOS / "worked_mission.py"))

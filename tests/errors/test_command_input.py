@@ -92,6 +92,7 @@ def test_code_needs_to_be_allowed(tmp_path, refused):
     assert "model = 'own.py:build' runs code from a file; allow it with" in said
 
 
+@pytest.mark.lengthy
 def test_reader_that_closes_the_pipe_gets_no_traceback():
     with start("library", "vehicles", "dji_phantom_2", "--json") as process:
         process.stdout.close()

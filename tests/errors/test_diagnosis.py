@@ -159,6 +159,7 @@ def named(findings, subject):
     return [f for f in findings if f.subject == subject]
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("kind", IMPOSSIBLE)
 def test_an_impossible_mission_names_its_cause(kind):
     tables, subject, cause = IMPOSSIBLE[kind]
@@ -171,6 +172,7 @@ def test_an_impossible_mission_names_its_cause(kind):
     assert "\n" not in str(found)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("kind", DOUBTFUL)
 def test_a_doubtful_mission_names_its_doubt(kind):
     tables, subject, doubt = DOUBTFUL[kind]

@@ -179,6 +179,7 @@ def refused(capsys, file, *options, vehicle="dji_matrice_100"):
     return line
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", SPOILT)
 def test_a_spoilt_log(tmp_path, capsys, name):
     frame, message = SPOILT[name]

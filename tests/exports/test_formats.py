@@ -50,6 +50,7 @@ def at(times, columns):
 PLACE, SPEEDS = ("x_m", "y_m", "z_m"), ("vx_m_per_s", "vy_m_per_s", "vz_m_per_s")
 
 
+@pytest.mark.lengthy
 def test_px4_reads_setpoints_in_north_east_down(tmp_path):
     mavlink = pytest.importorskip("pymavlink.dialects.v20.common", reason="needs '.[test]'")
     made = export_plan(plan(), Format.PX4, tmp_path / "px4.csv", rate_hz=100.0)

@@ -107,6 +107,7 @@ SLOW = ("limits.rotor_speed_max=913.0",)
 WAYPOINT = "mission.waypoints=[{ position = [0.5, 1.0, 0.25], at = 2.0 }]"
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", FORGED)
 def test_a_forged_plan_file_is_refused(tmp_path, capsys, name):
     forge, said = FORGED[name]
@@ -174,6 +175,7 @@ def test_every_committed_report_is_confirmed(tmp_path, name):
     assert out.exists()
 
 
+@pytest.mark.lengthy
 def test_a_model_of_ones_own_is_flown_where_code_is_allowed(tmp_path, capsys):
     (tmp_path / "own.py").write_text(
         "from pyomo_quad import build_model\n"

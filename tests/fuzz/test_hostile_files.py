@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from pyomo_quad.scenario.resolution import LARGEST_FILE_BYTES, read_toml
 from tests.command import ENVIRONMENT
 from tests.fuzz.hostile import hostile_files
@@ -21,10 +23,12 @@ def refused(size, *names):
     return int(done.stdout)
 
 
+@pytest.mark.lengthy
 def test_all_hostile_files_come_to_an_end():
     assert refused(40_000) > len(hostile_files(1))
 
 
+@pytest.mark.lengthy
 def test_long_words_come_to_an_end_at_the_largest_size_that_is_read():
     """Work that grew with the square of the size would take an hour."""
     assert refused(LARGEST_FILE_BYTES - 100, *LONG_WORDS) >= len(LONG_WORDS)

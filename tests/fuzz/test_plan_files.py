@@ -42,6 +42,7 @@ def test_pickled_objects_are_refused(tmp_path):
     assert_refused(file)
 
 
+@pytest.mark.lengthy
 def test_a_zip_bomb_is_refused(tmp_path):
     file = tmp_path / "plan.npz"
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:

@@ -1,5 +1,6 @@
 """Every scenario that the schema lets through builds, has consistent units, and compiles."""
 
+import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -59,6 +60,7 @@ scenarios = st.fixed_dictionaries(
 )
 
 
+@pytest.mark.lengthy
 @settings(max_examples=EXAMPLES, deadline=None, derandomize=True)
 @given(scenarios)
 def test_valid_scenarios_build_and_compile(tables):

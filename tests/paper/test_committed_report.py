@@ -37,6 +37,7 @@ def energies(flown):
     return {"energy_J": flown.flight.energy_J, "hover_energy_J": flown.hover_energy_J}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("experiment", "model"),
     [
@@ -52,6 +53,7 @@ def test_the_optima_of_both_experiments_are_those_committed(experiment, model):
     check("experiments", row, energies(flown))
 
 
+@pytest.mark.lengthy
 def test_the_readings_of_the_wind_are_those_committed():
     frame = committed("wind")
     cases = wind_cases(is_quick=True)
@@ -61,6 +63,7 @@ def test_the_readings_of_the_wind_are_those_committed():
     check("wind", frame.iloc[-1], energies(fly_case(cases[-1])))
 
 
+@pytest.mark.lengthy
 def test_a_controlled_flight_is_that_committed():
     case = BaselineCase(
         experiment=Experiment.WIND, power_model=PowerModel.MOTOR, reference=Reference.QUINTIC
@@ -72,6 +75,7 @@ def test_a_controlled_flight_is_that_committed():
     check("baselines", row, {"energy_J": flight.energy_J})
 
 
+@pytest.mark.lengthy
 def test_the_packs_are_those_committed():
     for (_, row), facts in zip(committed("batteries").iterrows(), pack_facts(), strict=True):
         assert row.battery == facts.battery
@@ -79,6 +83,7 @@ def test_the_packs_are_those_committed():
         check("batteries", row, found | {"stored_energy_J": facts.stored_energy_J})
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("reading", Reading)
 def test_the_floors_are_those_committed(reading):
     frame = committed("floors")

@@ -91,6 +91,7 @@ def test_f_r_first_passes_zero_where_the_polynomial_does():
     assert smallest > 0.0
 
 
+@pytest.mark.lengthy
 def test_a_literal_floor_is_infinite_beyond_the_zero_and_both_fall_with_the_bound():
     critical, _ = critical_acceleration()
     bounds = (30.0, 300.0, 1000.0, critical + 50.0)

@@ -124,6 +124,7 @@ def test_the_floor_is_said_of_its_reading_and_its_bound_alone(floor_J, side):
     ) in text
 
 
+@pytest.mark.lengthy
 def test_the_note_on_braking_names_the_models_that_the_declared_power_credits():
     told = text_of("corrections", {**examination(study()), **corrections(study())})
     (row,) = (line for line in told.splitlines() if line.startswith("| braking"))

@@ -45,6 +45,7 @@ def run(study: Path, folder: Path, *options: str) -> int:
     return main(["sweep", str(study), *where, "--figures", "none", *options])
 
 
+@pytest.mark.lengthy
 def test_a_sweep_writes_store_tables_and_report_and_goes_on_when_run_again(
     study, tmp_path, capsys, monkeypatch
 ):
@@ -124,6 +125,7 @@ def test_on_a_terminal_there_is_a_bar(study, tmp_path, capsys, monkeypatch):
     assert "0 failed" in shown
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)]
 )

@@ -34,6 +34,7 @@ def solved_here(study):
     return rows(folder)
 
 
+@pytest.mark.lengthy
 def test_all_cases_are_verified(solved_here):
     assert list(solved_here["status"]) == ["finished"] * 4
     assert (solved_here["excess_energy_J"] > 0.0).all()
@@ -48,6 +49,7 @@ def test_rows_are_the_same_numbers_from_two_processes(study, solved_here):
     pd.testing.assert_frame_equal(rows(folder), solved_here, rtol=1e-6)
 
 
+@pytest.mark.lengthy
 def test_a_warm_start_changes_an_optimum_by_no_more_than_the_tolerance(study, solved_here):
     loaded = load_study(study)
     for case in expand(design_sweep(loaded))[::3]:
@@ -55,6 +57,7 @@ def test_a_warm_start_changes_an_optimum_by_no_more_than_the_tolerance(study, so
         assert solved_here["energy_J"][case.position] == pytest.approx(alone.energy, rel=1e-5)
 
 
+@pytest.mark.lengthy
 def test_baselines_of_a_case_are_flown_beside_its_plan(tmp_path):
     one = '[[axis]]\npath = "mission.duration"\nvalues = [10.0]\n'
     study = write_study(tmp_path, one, f'baselines = ["quintic"]\n{COARSE}')
@@ -68,6 +71,7 @@ def test_baselines_of_a_case_are_flown_beside_its_plan(tmp_path):
     assert 0.0 < saving < 20.0
 
 
+@pytest.mark.lengthy
 def test_a_plan_flown_in_another_world_than_its_own_misses_and_costs_more(tmp_path):
     masses = '[[axis]]\npath = "vehicle.mass"\nvalues = [1.3, 1.4]\n'
     study = write_study(tmp_path, masses, f'task = "fly_plan"\n{COARSE}')

@@ -76,6 +76,7 @@ def test_three_kills_end_with_every_row_and_none_solved_twice(tmp_path):
     assert rows(folder).equals(rows(undisturbed))
 
 
+@pytest.mark.lengthy
 def test_an_ended_sweep_solves_nothing_more(tmp_path):
     study, folder = write_study(tmp_path), tmp_path / "out"
     sweep(study, folder, Here())

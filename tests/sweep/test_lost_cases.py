@@ -118,6 +118,7 @@ def with_children(study):
     return next(one.key for one in cases if one.parent is not None and one.position in parents)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("step", [7, 1])
 def test_workers_that_die_once_change_no_row(study, tmp_path, expected, keys, step):
     deaths = dict.fromkeys(keys[::step], 1)
@@ -126,6 +127,7 @@ def test_workers_that_die_once_change_no_row(study, tmp_path, expected, keys, st
     assert rows(tmp_path / "out").equals(expected)
 
 
+@pytest.mark.lengthy
 def test_a_case_is_lost_only_when_its_worker_dies_alone_too_and_resume_makes_up_for_it(
     study, tmp_path, expected, with_children
 ):
@@ -147,6 +149,7 @@ def test_a_case_is_lost_only_when_its_worker_dies_alone_too_and_resume_makes_up_
     assert rows(folder).equals(expected)
 
 
+@pytest.mark.lengthy
 def test_resume_that_is_interrupted_amid_the_rows_made_again_heals_as_well(
     study, tmp_path, expected, with_children
 ):
@@ -158,6 +161,7 @@ def test_resume_that_is_interrupted_amid_the_rows_made_again_heals_as_well(
     assert rows(folder).equals(expected)
 
 
+@pytest.mark.lengthy
 def test_failures_of_the_numerics_stay(study, tmp_path):
     study.write_text(study.read_text().replace("first = 4.0", "first = 2.5"))
     sweep(study, tmp_path / "out", Here())

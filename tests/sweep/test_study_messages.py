@@ -131,6 +131,7 @@ def test_columns_of_baselines_can_be_asked_for(tmp_path):
     assert design_of(tmp_path, DURATION_AXIS, head).report_on == ("quintic_energy_J",)
 
 
+@pytest.mark.lengthy
 def test_a_wider_study_extends_its_store(tmp_path):
     sweep(write_study(tmp_path), tmp_path / "out", Here())
     wider = DURATION_AXIS.replace("last = 13.0, count = 10", "last = 15.0, count = 12")
@@ -139,6 +140,7 @@ def test_a_wider_study_extends_its_store(tmp_path):
     assert list(rows(tmp_path / "out")["case"]) == list(range(60))
 
 
+@pytest.mark.lengthy
 def test_a_changed_study_says_what_changed_and_asks_for_fresh(tmp_path):
     sweep(write_study(tmp_path), tmp_path / "out", Here())
     narrower = write_study(tmp_path, DURATION_AXIS)
@@ -154,6 +156,7 @@ def test_a_changed_study_says_what_changed_and_asks_for_fresh(tmp_path):
         assert results_frame(store).empty
 
 
+@pytest.mark.lengthy
 def test_a_store_of_another_version_is_refused(tmp_path):
     study, folder = write_study(tmp_path), tmp_path / "out"
     sweep(study, folder, Here())

@@ -45,6 +45,7 @@ normal = { mean = 4.0, standard_deviation = 0.5 }
 """
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("axes", "figures"),
     [
@@ -69,6 +70,7 @@ def test_each_design_gets_the_figures_that_fit_it(tmp_path, axes, figures):
     assert all(f"figures/{name}.svg" in text for name in figures)
 
 
+@pytest.mark.lengthy
 def test_tables_hold_every_row_in_three_formats(tmp_path):
     sweep(write_study(tmp_path), tmp_path / "out", Here())
     assert main(["sweep-report", str(tmp_path / "out"), "--figures", "none"]) == 0
@@ -79,6 +81,7 @@ def test_tables_hold_every_row_in_three_formats(tmp_path):
     assert (report / "results.md").read_text().count("| finished |") == 50
 
 
+@pytest.mark.lengthy
 def test_report_is_equal_byte_for_byte_when_made_again(tmp_path):
     sweep(write_study(tmp_path, DURATION_AXIS), tmp_path / "out", Here())
     with ResultStore.reading(tmp_path / "out") as store:

@@ -58,6 +58,7 @@ def test_no_control_is_beyond_its_bound_anywhere_on_the_second_mesh_already(prob
     assert most_between_points(held) <= (1.0 + BREACH) * MOST
 
 
+@pytest.mark.lengthy
 def test_what_it_costs_is_told_and_refined_away(problem):
     coarse = refined(problem, max_meshes=2)
     excess = coarse.objective - EFFORT

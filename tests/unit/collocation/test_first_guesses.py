@@ -117,6 +117,7 @@ def shooting_yield():
     return b - 0.05 * duration
 
 
+@pytest.mark.lengthy
 def test_rates_as_algebraic_variables_take_no_finer_mesh_than_substituted_ones():
     problems = [
         compile(m, final_time=m.T)

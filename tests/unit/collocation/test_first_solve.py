@@ -106,6 +106,7 @@ def test_an_end_that_lies_on_an_equation_among_states_leaves_no_empty_row():
     assert set(np.flatnonzero(held)) <= set(rows[free[columns]].tolist())
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("barrier", "is_scaled"), [("monotone", True), ("adaptive", False), ("monotone", False)]
 )

@@ -347,6 +347,7 @@ def is_edge(x, y):
     return x in (0, 1) or y in (0, 1)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("by_pyomo", [True, False])
 def test_two_dimensions_of_space(by_pyomo):
     m = ConcreteModel()

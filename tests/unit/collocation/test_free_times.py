@@ -103,12 +103,14 @@ def test_controls_flown_on_the_mesh_in_time_arrive():
     assert flown.energy[-1] == pytest.approx(solution.objective, rel=1e-6)
 
 
+@pytest.mark.lengthy
 def test_declared_times_only_say_where_the_phases_meet():
     m = push_and_brake(declared=(0, 0.3, 7))
     solution = solve(m, times={"t": {0.3: m.T1, 7: m.T2}})
     assert solution.objective == pytest.approx(1.5 * SWITCH, rel=1e-6)
 
 
+@pytest.mark.lengthy
 def test_a_warm_start_and_a_pickle_honour_the_times():
     m = push_and_brake()
     problem = compile(m, times={1: m.T1, 2: m.T2})

@@ -206,6 +206,7 @@ def rocket():
     return m, times
 
 
+@pytest.mark.lengthy
 def test_three_phases_with_sets_of_their_own():
     m, times = rocket()
     problem = compile(m, times=times)

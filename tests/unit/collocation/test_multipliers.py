@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Objective, Var
 
@@ -48,6 +49,7 @@ def test_products_that_must_vanish_are_not_converged_and_named(monkeypatch):
     assert "Hamiltonian: varies by" in solution.message
 
 
+@pytest.mark.lengthy
 def test_products_that_may_be_small_are_converged():
     solution = solve(switching(1e-2), tolerance=1e-4)
     assert solution.is_converged, solution.message

@@ -71,6 +71,7 @@ def test_a_state_that_grows_without_bound_is_refused_with_what_to_do():
         carried([0.0, 4.0], np.ones_like, runaway)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["paper_calm", "parcel"])
 def test_a_quadrotor_flies_as_by_scipy(name):
     # A parcel drone's induced velocities are implicit: here by Newton steps written out, in SciPy's

@@ -202,6 +202,7 @@ def test_a_linear_solver_that_this_ipopt_lacks_is_refused(solver, monkeypatch, n
         solver.solve(hock_schittkowski_71(), options={"linear_solver": name})
 
 
+@pytest.mark.lengthy
 def test_a_linear_solver_is_tried_in_a_process_of_its_own():
     linear_solvers._is_loaded.cache_clear()
     refuse = linear_solvers.refuse_absent_solver
@@ -225,6 +226,7 @@ def test_an_unbounded_program_says_so(solver):
     assert results.solver.termination_condition is TerminationCondition.unbounded
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("problem", [bryson_denham, hyper_sensitive])
 def test_objective_and_integrals_are_worth_what_was_solved(solver, problem):
     m = problem.build()

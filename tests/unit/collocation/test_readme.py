@@ -42,6 +42,7 @@ def test_phases_meet_where_the_page_says():
     assert list(quickest.timeline.times) == pytest.approx([0, 1.1547, 1.7321], abs=1e-4)
 
 
+@pytest.mark.lengthy
 def test_the_ascent_steers_by_the_law_of_a_linear_tangent():
     ascent, r = run("r", "ascent", "r")
     assert ascent.objective == pytest.approx(0.2298, abs=1e-4)

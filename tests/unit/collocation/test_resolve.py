@@ -141,6 +141,7 @@ def test_warm_start_of_another_model_is_refused(other):
         compile(other.build()).solve(mesh=MESH, warm_start=start)
 
 
+@pytest.mark.lengthy
 def test_guess_from_a_frame_and_from_functions():
     problem = compile(brachistochrone.build())
     cold = problem.solve(mesh=MESH)
@@ -175,6 +176,7 @@ def slide(*, scaled):
     return m
 
 
+@pytest.mark.lengthy
 def test_free_final_time_by_the_helper():
     m = slide(scaled=False)
     solution = solve(m, final_time=m.duration, tolerance=1e-8)
@@ -295,6 +297,7 @@ def test_an_error_of_the_caller_is_not_lost():
         solve(brachistochrone.build(), mesh=MESH, progress=fail)
 
 
+@pytest.mark.lengthy
 def test_infeasible_is_told_from_not_converged():
     m = brachistochrone.build()
     m.hurry = Constraint(expr=m.duration <= 1.5)
@@ -354,6 +357,7 @@ def moved_mission():
     return compile(build_model(here)), parameter_values(here), parameter_values(there)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "case",
     [

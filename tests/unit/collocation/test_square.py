@@ -26,6 +26,7 @@ def oscillator():
     return m
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "arguments",
     [{}, {"tolerance": 1e-8}, {"mesh": Mesh.uniform(10, 4)}, {"mesh": Mesh.uniform(10, 6)}],
@@ -49,6 +50,7 @@ def test_a_square_program_that_leaves_no_choice_is_solved():
     assert solution.warnings == ()
 
 
+@pytest.mark.lengthy
 def test_an_end_that_contradicts_is_infeasible_although_its_size_is_right():
     m = oscillator()
     m.circle = Constraint(expr=m.x[1] ** 2 + m.v[1] ** 2 == 1.1)

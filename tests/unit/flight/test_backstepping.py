@@ -71,6 +71,7 @@ def asleep_for_two_seconds(t, demand):
     return demand if t > 2.0 else np.zeros(3)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("delivered", [lambda _t, demand: demand, too_weak, asleep_for_two_seconds])
 @pytest.mark.parametrize("reach", [2.0, inf])
 @pytest.mark.parametrize("is_initialised", [True, False])

@@ -37,6 +37,7 @@ UNFORESEEN = "wind.forecast.use='calm'"
 ROUNDING = 1e-12
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("reference", MISSION_TIMED)
 @pytest.mark.parametrize("name", MISSIONS)
 def test_every_reference_arrives(name, reference):
@@ -64,6 +65,7 @@ def test_rotors_are_quiet_once_under_way(name, reference):
     assert turns_per_s.max() < 2.0
 
 
+@pytest.mark.lengthy
 def test_a_heading_to_be_kept_is_asked_of_plans_and_of_feedback_that_it_turns_back():
     kept = ("vehicle.attitude='euler'", "mission.yaw='kept'")
     vehicle = flights.vehicle("paper_wind", *kept)
@@ -77,6 +79,7 @@ def test_a_heading_to_be_kept_is_asked_of_plans_and_of_feedback_that_it_turns_ba
     assert heading.iloc[-1] < 0.5 * heading.max()
 
 
+@pytest.mark.lengthy
 def test_a_plan_is_followed_without_the_lag_of_the_command_filter():
     """Without the plan's rates of roll and pitch, its flight of 5 s ended 2 cm off."""
     quick = ("mission.duration=5.0",)
@@ -89,6 +92,7 @@ def test_a_plan_is_followed_without_the_lag_of_the_command_filter():
     assert flight.terminal_miss_m < 0.005
 
 
+@pytest.mark.lengthy
 def test_a_plan_that_uses_all_the_thrust_is_followed_with_its_own_acceleration():
     """Shortened to the controller's share of the thrust, its flight of 3.9 s ended 0.16 m off."""
     quick = ("mission.duration=3.9",)
@@ -109,6 +113,7 @@ RELEASE = (
 )
 
 
+@pytest.mark.lengthy
 def test_a_payload_that_is_released_is_no_disturbance():
     """With the old mass the controller learnt 1.3 m/s^2 upwards, and rose by 5 cm."""
     vehicle = flights.vehicle("paper_calm", *RELEASE)
@@ -206,6 +211,7 @@ def test_a_heavier_vehicle_than_believed_is_carried_all_the_same():
     assert flights.distances(dynamics, flight.flown.states, goal)[-1] < 0.01
 
 
+@pytest.mark.lengthy
 def test_in_a_wind_not_foreseen_feedback_arrives_and_the_plan_alone_does_not():
     name = "paper_wind"
     plan = flights.plan(name, UNFORESEEN)

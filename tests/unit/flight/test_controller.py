@@ -235,6 +235,7 @@ DASH = (
 )
 
 
+@pytest.mark.lengthy
 def test_a_flight_follows_what_tilts_further_than_half_a_radian_and_keeps_both_angles():
     mission = flights.scenario("delivery", *DASH)
     vehicle = flights.vehicle("delivery", *DASH)
@@ -257,6 +258,7 @@ HOVER = (
 )
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("gains", [Gains(), FASTER_GAINS], ids=["default", "faster"])
 def test_a_vehicle_tilted_far_from_its_command_rights_itself_and_hardly_falls(gains):
     """Rotors that give 1.3 times the weight; the command of all flights begins level."""

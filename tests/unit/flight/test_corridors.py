@@ -53,6 +53,7 @@ def corridors_in(folder, wind, **airspace):
     return Corridors(told, power, ENDS, told.nominal_duration)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("wind", [(0.0, 0.0), (5.0, 0.0), (-4.0, 3.0)])
 def test_an_even_wind_has_one_corridor_which_is_straight_and_costs_the_closed_form(tmp_path, wind):
     found = corridors_in(tmp_path, lambda _x, _y: wind)
@@ -66,6 +67,7 @@ def test_an_even_wind_has_one_corridor_which_is_straight_and_costs_the_closed_fo
     assert route.estimate_J == pytest.approx(160.0 * best.fun, rel=1e-3)
 
 
+@pytest.mark.lengthy
 def test_a_jet_beside_the_way_carries_the_cheapest_corridor(tmp_path):
     found = corridors_in(tmp_path, lambda _x, y: (8.0 * np.exp(-(((y - 90.0) / 10.0) ** 2)), 0.0))
     route = found.routes()[0]
@@ -73,6 +75,7 @@ def test_a_jet_beside_the_way_carries_the_cheapest_corridor(tmp_path):
     assert route.estimate_J < 0.95 * found.energy_of(ENDS)
 
 
+@pytest.mark.lengthy
 def test_a_contrary_wind_in_the_middle_has_a_corridor_on_either_side(tmp_path):
     def contrary(x, y):
         return -12.0 * np.exp(-(((x - 100.0) / 40.0) ** 2) - ((y - 60.0) / 15.0) ** 2), 0.0
@@ -86,6 +89,7 @@ def test_a_contrary_wind_in_the_middle_has_a_corridor_on_either_side(tmp_path):
     assert routes[0].estimate_J == pytest.approx(routes[1].estimate_J, rel=1e-2)
 
 
+@pytest.mark.lengthy
 def test_corridors_keep_out_of_zones_and_of_places_without_wind(tmp_path):
     tower = {"name": "tower", "shape": "box", "low": [80, 50, 0], "high": [120, 120, 50]}
 
@@ -117,6 +121,7 @@ def test_places_without_a_way_between_them_have_no_corridor(tmp_path):
     assert found.energy_of(ENDS) is None
 
 
+@pytest.mark.lengthy
 def test_a_wall_across_the_field_leaves_no_way_unless_the_field_goes_on_beyond_its_edges(tmp_path):
     """The wall ends outside of the field, so that a route round it would leave the field."""
     wall = {

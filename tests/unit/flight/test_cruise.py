@@ -166,6 +166,7 @@ def tuned():
         return told, tune_cruise(told, None, PLANNER)
 
 
+@pytest.mark.lengthy
 def test_the_tuned_autopilot_spends_least_of_all_that_were_tried(tuned):
     _, tuning = tuned
     kept = [one for one in tuning.tried if one.arrived and not one.broken]
@@ -178,6 +179,7 @@ def test_the_tuned_autopilot_spends_least_of_all_that_were_tried(tuned):
     assert tuning.flight.name == TUNED_CRUISE
 
 
+@pytest.mark.lengthy
 def test_the_settings_told_are_those_that_the_flight_uses(tuned):
     told, tuning = tuned
     again = fly_cruise(told, tuning.settings, None, PLANNER)
@@ -186,6 +188,7 @@ def test_the_settings_told_are_those_that_the_flight_uses(tuned):
     assert tuning.settings.speed <= max(one.settings.speed for one in tuning.tried)
 
 
+@pytest.mark.lengthy
 def test_settings_that_break_a_limit_cost_more_than_their_energy():
     """From a hold the autopilot of 12 m/s^2 overshoots, the one of 1 m/s^2 does not."""
     hold = {"position": [3.0, 1.5, 1.0], "hold": 1.0}
@@ -224,6 +227,7 @@ def test_an_autopilot_without_any_flight_within_the_limits_says_so(monkeypatch):
         tune_cruise(mission(), None, PLANNER)
 
 
+@pytest.mark.lengthy
 def test_long_legs_are_tuned_from_the_speed_of_steady_flight_and_each_setting_is_flown_once(
     monkeypatch,
 ):

@@ -67,6 +67,7 @@ def test_no_pushes_leave_a_path_in_its_place():
     assert not rates.any()
 
 
+@pytest.mark.lengthy
 def test_a_coarse_path_through_a_zone_is_flown_outside_of_it(cutting):
     _, solution, plan = cutting
     flown = verified(plan, solution, Accuracy.QUICK, is_rough=True)

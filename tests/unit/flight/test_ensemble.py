@@ -46,6 +46,7 @@ def test_a_flight_in_fixed_steps_is_that_of_the_adaptive_integrator():
     assert many.endings[0] == many.endings[1]
 
 
+@pytest.mark.lengthy
 def test_a_vehicle_heavier_than_the_controller_knows_flies_as_it_does_alone():
     mission, vehicle = hop()
     masses = np.array([1.25, 1.3, 1.4])
@@ -66,6 +67,7 @@ def test_a_vehicle_heavier_than_the_controller_knows_flies_as_it_does_alone():
         assert many.tracks["z_m"][-1, k] == pytest.approx(height, abs=PLACE_M)
 
 
+@pytest.mark.lengthy
 def test_flights_are_judged_as_one_flight_is():
     tight = "limits.battery_current_max=1.0", "limits.speed_max=0.2"
     mission, vehicle = hop(*tight)

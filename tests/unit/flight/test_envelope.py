@@ -19,6 +19,7 @@ def speeds(plan):
     return t, held.states_at(t)[:, chosen]
 
 
+@pytest.mark.lengthy
 def test_a_plan_says_by_how_much_and_for_how_long_it_leaves_the_range():
     plan = flights.plan("paper_calm", *HOP, *RANGE)
     t, velocity = speeds(plan)
@@ -32,6 +33,7 @@ def test_a_plan_says_by_how_much_and_for_how_long_it_leaves_the_range():
     assert departures(flights.plan("paper_calm", *HOP)) == ()
 
 
+@pytest.mark.lengthy
 def test_a_plan_that_is_told_keeps_inside_and_costs_more():
     free = flights.plan("paper_calm", *HOP, *RANGE)
     held = flights.plan("paper_calm", *HOP, *RANGE, "limits.within_validated=true")

@@ -51,6 +51,7 @@ def depth(plan):
     return zone.depth(plan.flown.states[:, columns]).max() + plan.scenario.airspace.clearance
 
 
+@pytest.mark.lengthy
 def test_a_flight_along_the_route_arrives_and_keeps_all_limits(past_a_hut):
     plan = as_usable(geometric_plan(past_a_hut))
     assert plan.status is PlanStatus.USABLE
@@ -64,6 +65,7 @@ def test_a_flight_along_the_route_arrives_and_keeps_all_limits(past_a_hut):
     assert not plan.is_optimised
 
 
+@pytest.mark.lengthy
 def test_it_costs_more_than_the_optimum_but_no_more_than_it_says(past_a_hut):
     first = geometric_plan(past_a_hut)
     best = Planner().solve(past_a_hut.told)
@@ -109,6 +111,7 @@ def test_there_is_no_smooth_flight_where_the_time_is_too_short():
     assert smooth_flight(short, journey) is None
 
 
+@pytest.mark.lengthy
 def test_a_fixed_duration_and_a_hover_with_a_release_are_kept():
     stop = {"position": [8.0, 8.0, 5.0], "hold": 2.0, "release": 0.2}
     plan = as_usable(geometric_plan(mission(waypoints=[stop], duration=25.0)))
@@ -121,12 +124,14 @@ def test_a_fixed_duration_and_a_hover_with_a_release_are_kept():
     assert speeds[1, rotors].mean() < 0.97 * speeds[0, rotors].mean()
 
 
+@pytest.mark.lengthy
 def test_there_is_no_first_plan_where_the_time_is_too_short_or_times_are_given():
     assert geometric_plan(mission(duration=2.0)) is None
     there = {"position": [8.0, 8.0, 5.0], "at": 6.0}
     assert geometric_plan(mission(waypoints=[there], duration=15.0)) is None
 
 
+@pytest.mark.lengthy
 def test_a_search_that_is_stopped_in_its_first_solve_returns_the_first_plan(monkeypatch):
     monkeypatch.setattr(search, "_PROMPT", 0.0)
     states = []

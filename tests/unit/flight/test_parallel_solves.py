@@ -31,6 +31,7 @@ def searched(progress=None):
     return mission, [partial(mission.solve, mesh=mesh) for mesh in meshes]
 
 
+@pytest.mark.lengthy
 def test_solutions_and_work_are_those_of_solves_in_turn():
     mission, solves = searched()
     together = solve_side_by_side(mission, solves)
@@ -54,6 +55,7 @@ def test_a_stopped_search_gives_up_its_copies():
     assert statuses == {Status.INTERRUPTED}
 
 
+@pytest.mark.lengthy
 def test_a_solution_from_a_copy_begins_the_next_solve():
     mission, solves = searched()
     *_, last = solve_side_by_side(mission, solves)
@@ -62,6 +64,7 @@ def test_a_solution_from_a_copy_begins_the_next_solve():
     assert refined.objective == pytest.approx(last.objective, rel=1e-4)
 
 
+@pytest.mark.lengthy
 def test_the_plan_does_not_depend_on_the_number_of_cores(monkeypatch):
     """On either side of the first mast, the second leaves both sides open."""
     masts = ", ".join(

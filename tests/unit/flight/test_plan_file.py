@@ -68,6 +68,7 @@ def test_the_search_for_an_order_comes_back(tmp_path):
     assert told["gap_percent"] == pytest.approx(1.3)
 
 
+@pytest.mark.lengthy
 def test_a_loaded_plan_starts_another_solve_like_a_fresh_one(saved):
     longer = scenario("paper_calm", *COARSE).with_values({"mission.duration": 10.5})
     cold = Planner().solve(longer)
@@ -92,6 +93,7 @@ def flown(held):
     return held, verification
 
 
+@pytest.mark.lengthy
 def test_a_pickled_plan_flies_in_a_fresh_process_and_solves_again():
     fresh = plan("paper_calm", *COARSE)
     context = multiprocessing.get_context("spawn")
@@ -121,6 +123,7 @@ def test_a_deep_copied_plan_flies():
     assert copied.to_frame().equals(fresh.to_frame())
 
 
+@pytest.mark.lengthy
 def test_a_vehicle_keeps_its_measured_wind_when_pickled(tmp_path):
     rows = "\n".join(f"{t},{np.sin(t)},{np.cos(2 * t)}" for t in range(12))
     (tmp_path / "wind.csv").write_text(f"time_s,wind_x_m_per_s,wind_y_m_per_s\n{rows}\n")

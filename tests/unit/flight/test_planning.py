@@ -88,6 +88,7 @@ COARSE_HOP = ["mission.goal.position=[1.0, 0.0, 0.5]", "mission.duration=4.0"]
 FEW_LOOKS = 60
 
 
+@pytest.mark.lengthy
 def test_the_flight_that_checks_a_plan_keeps_the_limit(monkeypatch):
     told = []
 
@@ -107,6 +108,7 @@ def test_the_flight_that_checks_a_plan_keeps_the_limit(monkeypatch):
     assert stopped.energy == pytest.approx(plan.energy, rel=1e-6)
 
 
+@pytest.mark.lengthy
 def test_the_flights_beside_a_plan_keep_the_limit_that_it_left(monkeypatch):
     """In one process, where all look at one clock."""
     monkeypatch.setenv("OMP_NUM_THREADS", "2")
@@ -150,6 +152,7 @@ def test_the_command_says_that_time_ran_out(capsys):
     assert len(said.splitlines()) == 1
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("settings", "durations"),
     [
@@ -505,6 +508,7 @@ def test_ways_past_waypoints_within_a_radius_are_found_by_way_of_the_waypoints_t
     assert all(route.energy_J is not None for route in plan.routes)
 
 
+@pytest.mark.lengthy
 def test_without_zones_waypoints_within_a_radius_are_passed_by_way_of_themselves_too(monkeypatch):
     solve, solve_from = MissionProblem.solve_roughly, MissionProblem.solve_from
     plain_flights, guesses = [], []

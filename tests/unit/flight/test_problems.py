@@ -29,6 +29,7 @@ def counted(monkeypatch):
     return fresh, built
 
 
+@pytest.mark.lengthy
 def test_dynamics_of_another_duration_need_no_other_model(counted):
     fresh, built = counted
     told = load_scenario(SCENARIOS / "paper_wind.toml")

@@ -44,6 +44,7 @@ DASH = (
 )
 
 
+@pytest.mark.lengthy
 def test_angles_of_a_first_plan_are_the_integrals_of_their_rates():
     """The controller follows both: 0.2 rad apart, they took a flight beyond its pitch limit."""
     mission = flights.scenario("delivery", *DASH)
@@ -71,6 +72,7 @@ def moved(replanner, state, **by):
     return changed
 
 
+@pytest.mark.lengthy
 def test_from_beyond_a_limit_a_plan_leads_back_and_breaks_it_by_no_more_than_it_is_broken(
     replanner, course
 ):

@@ -42,6 +42,7 @@ def replanned(knowledge, *overrides, plant=(), plan=None, computer=None):
     )
 
 
+@pytest.mark.lengthy
 def test_the_rest_of_an_optimal_flight_is_optimal(monkeypatch):
     """Bellman: from a state on the optimum, what is left costs what the optimum still spends.
 
@@ -70,6 +71,7 @@ def test_what_is_not_told_is_learnt_and_not_knowing_it_costs():
     assert estimated.terminal_miss_m < 0.2 * untold.terminal_miss_m
 
 
+@pytest.mark.lengthy
 def test_mass_and_wind_are_told_apart(monkeypatch):
     """In a steady wind, with a heavier vehicle, both are found: they are the plant's numbers."""
     beliefs = []
@@ -90,6 +92,7 @@ def test_mass_and_wind_are_told_apart(monkeypatch):
     assert (beliefs[0].mass, beliefs[0].unexplained) == (1.3, (0.0, 0.0))
 
 
+@pytest.mark.lengthy
 def test_stated_times_repeat_and_with_nothing_amiss_it_costs_what_the_optimum_does():
     plan = flights.plan("paper_calm", *SHORT)
     first, second = (replanned(Knowledge.TOLD, plan=plan) for _ in range(2))
@@ -97,6 +100,7 @@ def test_stated_times_repeat_and_with_nothing_amiss_it_costs_what_the_optimum_do
     assert 1.0 - 1e-4 < settled_energy(first) / plan.energy < 1.0 + 2e-3
 
 
+@pytest.mark.lengthy
 def test_the_last_plan_goes_on_while_a_solve_is_late():
     seconds = iter([0.06, 0.8, *[0.06] * 20])
     flight = replanned(Knowledge.TOLD, computer=lambda _: next(seconds))
@@ -109,6 +113,7 @@ def test_the_last_plan_goes_on_while_a_solve_is_late():
     assert flight.is_verified
 
 
+@pytest.mark.lengthy
 def test_where_every_solve_fails_the_first_plan_is_flown_under_feedback(monkeypatch):
     monkeypatch.setattr(remaining, "_OPTIONS", SolverOptions(max_iterations=0))
     monkeypatch.setattr(remaining.Replanner, "is_off", lambda *_: False)

@@ -74,6 +74,7 @@ def smooth_process(paths, steps, h=0.02, rate=3.0):
     return np.array(found)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("beyond", [2.0, 3.0])
 def test_the_probability_of_a_breach_bounds_that_of_simulated_flights_closely(beyond):
     flown = smooth_process(40_000, 250)
@@ -227,6 +228,7 @@ def planner_of(builder=build_model, is_stopped=False):
     )
 
 
+@pytest.mark.lengthy
 def test_a_usable_plan_without_time_for_margins_says_so(monkeypatch):
     """Time ends while the first plan's flight without gusts is flown."""
 
@@ -474,6 +476,7 @@ def test_tilt_gets_the_margin_of_its_covariance_beside_a_reserve_and_thrust_the_
     assert tried.predicted == pytest.approx(roll.present_probability)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("needed", [*margin_search._RESERVES, 0.9])
 def test_the_reserve_found_is_the_least_with_which_flights_follow_the_plan(needed, monkeypatch):
     told = mission(risk=0.01)

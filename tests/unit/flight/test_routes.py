@@ -133,6 +133,7 @@ def test_a_hidden_corner_of_a_zone_does_not_close_the_way_round_its_neighbours()
     assert shortest.length == pytest.approx(sum(corner) + 3 + 2 * reach)
 
 
+@pytest.mark.lengthy
 @settings(max_examples=25, deadline=None)
 @given(
     st.lists(
@@ -224,6 +225,7 @@ def beside(zone, leg):
 COORDINATE = st.floats(-10.0, 10.0)
 
 
+@pytest.mark.lengthy
 @settings(max_examples=60, deadline=None)
 @given(
     across=st.tuples(COORDINATE, COORDINATE),
@@ -283,6 +285,7 @@ def test_the_zone_that_closes_a_gap_is_named():
     assert find_routes(without, START, GOAL)
 
 
+@pytest.mark.lengthy
 def test_a_mission_without_a_route_ends_as_infeasible(capsys, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     zones = ", ".join(
@@ -391,6 +394,7 @@ def test_no_further_solve_begins_at_a_failed_one(monkeypatch):
     assert Flights().compared(journeys)[0] is failed
 
 
+@pytest.mark.lengthy
 def test_a_guess_from_a_solution_in_another_time_follows_its_path_at_another_speed():
     told = load_scenario(PAPER_CALM, ["mission.duration='free'"])
     journey = find_journeys(told.airspace, told.mission.positions)[0]

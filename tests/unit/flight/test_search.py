@@ -27,6 +27,7 @@ def test_a_mission_asks_for_standard_and_the_papers_for_proof():
     assert quick.solver.tolerance == 1e-3
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("accuracy", list(Accuracy))
 def test_the_energy_is_as_close_to_the_least_as_the_accuracy_says(accuracy):
     plan = Planner().solve(load_scenario(PAPER_CALM, [f"solver.accuracy={accuracy.value}"]))

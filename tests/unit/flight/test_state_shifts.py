@@ -46,6 +46,7 @@ def largest(samples, names, limit):
     return max(states[f"rotors.omega[{j}]"].max() for j in (1, 2, 3, 4))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("limit", ["speed_max", "pitch_max", "rotor_speed_max"])
 def test_a_flight_whose_path_is_shifted_exceeds_a_limit_far_less(coarse, limit):
     mission, path = coarse

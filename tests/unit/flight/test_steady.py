@@ -52,6 +52,7 @@ def test_hover_of_a_model_of_ones_own_is_that_of_its_equations():
     assert steady(told).hover_power == pytest.approx(hover_power(), rel=1e-10)
 
 
+@pytest.mark.lengthy
 def test_a_plan_and_its_certificate_share_the_floor_of_its_own_model():
     solver = {"elements": 10, "degree": 3, "max_refinements": 0}
     mission = {"goal": {"position": [1.0, 0.0, 0.5]}, "duration": 4.0}
@@ -110,6 +111,7 @@ def test_a_search_begun_nearby_ends_at_the_same_trim_after_few_evaluations(monke
     np.testing.assert_allclose(found.states, cold.states, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("power", ["motor", "momentum"])
 def test_the_slopes_of_the_rates_are_those_of_differences(power):
     vehicle = {"use": "dji_matrice_100", "attitude": "euler"}
@@ -157,6 +159,7 @@ def test_charge_and_energy_of_the_pack_by_its_own_equations():
     assert flight.stored_energy(0.99, 400) == pytest.approx(12.0 * 5.2 * 3600.0, rel=0.1)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     "forecast", [{}, pytest.param({"forecast": {"use": "calm"}}, marks=pytest.mark.slow)]
 )

@@ -94,6 +94,7 @@ def all_costs(told, legs):
     return table.costs()
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("count", [3, 8, MOST_EXACT])
 def test_the_orders_found_from_few_legs_are_those_of_all_legs(count):
     told, legs = scattered(count), Legs()
@@ -108,6 +109,7 @@ def test_the_orders_found_from_few_legs_are_those_of_all_legs(count):
         assert found[0].solved < found[0].legs / 2
 
 
+@pytest.mark.lengthy
 def test_thirty_waypoints_have_an_order_with_a_stated_gap_from_few_legs():
     told, legs = scattered(30), Legs()
     best, *others = find_orders(told, legs)
@@ -120,6 +122,7 @@ def test_thirty_waypoints_have_an_order_with_a_stated_gap_from_few_legs():
     assert all(other.cost_J >= best.cost_J for other in others)
 
 
+@pytest.mark.lengthy
 def test_legs_not_solved_for_are_predicted_below_what_they_cost():
     told, legs = scattered(20), Legs()
     table = LegTable(told, legs)
@@ -152,6 +155,7 @@ def test_legs_too_fast_from_hover_to_hover_are_predicted_from_those_that_are_not
     assert found.order == exact.order
 
 
+@pytest.mark.lengthy
 def test_a_place_that_is_shut_in_leaves_no_order_and_is_named():
     walls = {"west": ([4, -3], [5, 3]), "east": ([8, -3], [9, 3])}
     walls |= {"north": ([4, 2], [9, 3]), "south": ([4, -3], [9, -2])}
@@ -193,6 +197,7 @@ def first_solution(told, start=None):
     return candidate.solution
 
 
+@pytest.mark.lengthy
 def test_a_solve_starts_from_a_similar_flight_with_its_passing_times():
     """A shortest flight past a waypoint has one, and so has the flight that is to come near it."""
     told = corners("given")

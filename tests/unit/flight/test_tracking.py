@@ -161,6 +161,7 @@ def test_a_limit_as_strict_as_would_exclude_the_start_is_not_tried(planner):
     assert not list(within_limits(mission, own, before, USABLE, lambda *_: before))
 
 
+@pytest.mark.lengthy
 def test_the_least_energy_is_between_a_relaxed_and_a_stricter_optimum(planner):
     solved = {}
     for speed in (1.02, 1.0, 0.985):
@@ -175,6 +176,7 @@ def test_the_least_energy_is_between_a_relaxed_and_a_stricter_optimum(planner):
     assert found == pytest.approx(exact, abs=0.1 * (high - low))
 
 
+@pytest.mark.lengthy
 def test_a_plan_asked_for_standard_is_the_flight_of_its_corrected_controls(planner):
     told = load_scenario(PAPER_CALM, ["solver.accuracy=standard"])
     plan = planner.solve(told)

@@ -43,6 +43,7 @@ def own_instance(planner, told):
     return mission.problem.instance(arguments["parameters"], arguments["horizon"])
 
 
+@pytest.mark.lengthy
 def test_a_mast_between_the_samples_of_the_plain_flight_is_hit(planned):
     planner, plan = planned
     assert plan.is_verified

@@ -44,6 +44,7 @@ def identified(folder):
     return identify(vehicle_scenario(str(folder / "craft.toml")), frame)
 
 
+@pytest.mark.lengthy
 def test_planted_numbers_come_back(identified):
     for one in identified.parameters:
         assert one.value == pytest.approx(PLANTED[one.name], rel=1e-4), one.name
@@ -93,6 +94,7 @@ def test_what_flights_cannot_tell_is_kept(folder):
         assert one.deviation == 0.0
 
 
+@pytest.mark.lengthy
 def test_commands_write_what_they_say(folder, capsys):
     out, again = folder / "identified", folder / "predicted"
     base = ["--base", str(folder / "craft.toml"), "--figures", "none"]
@@ -161,6 +163,7 @@ def test_the_matrice_100_is_known_from_its_flights():
     assert shipped.mean_absolute_error_percent < 2.1
 
 
+@pytest.mark.lengthy
 def test_halves_of_the_flights_confirm_each_other_and_the_base_is_named(identified):
     """A base that was fitted to the same flights would agree with them whatever they were."""
     for one in identified.parameters:

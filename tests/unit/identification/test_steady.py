@@ -48,6 +48,7 @@ def written(folder, points):
     return file
 
 
+@pytest.mark.lengthy
 def test_a_polar_gives_back_what_was_planted(folder, scenario):
     points = read_steady(written(folder, plain_points([0, 3, 6, 9, 12, 15])), scenario)
     start = scenario.with_values({"vehicle.drag_quadratic": 0.08})
@@ -84,6 +85,7 @@ def test_payloads_at_hover_do_not_tell_induced_from_profile_power(folder, scenar
     assert found.error_percent < 0.05
 
 
+@pytest.mark.lengthy
 def test_the_deviation_is_that_of_the_noise(folder, scenario):
     generator = np.random.default_rng(2)
     points = plain_points(np.linspace(0, 15, 13))
@@ -146,6 +148,7 @@ def test_the_command_writes_a_vehicle_that_a_scenario_takes(folder, capsys):
     assert "give LOGS of flights, or --steady CSV" in capsys.readouterr().err
 
 
+@pytest.mark.lengthy
 def test_few_and_coarse_rows_are_warned_of(scenario):
     """Three short flights at one row a second, whose climb begins and ends within a row."""
     frame = pd.concat([recorded.flight(k, 8.0, 0.0, seconds=24) for k in (1, 2, 3)])

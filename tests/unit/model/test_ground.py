@@ -128,6 +128,7 @@ def test_margins_over_terrain_are_limited_by_the_height_above_the_ground(terrain
     assert 2.0 < room < 2.9
 
 
+@pytest.mark.lengthy
 def test_a_plan_crosses_a_hill_at_its_floor_and_is_verified_between_its_points(terrain):
     plan = Planner().solve(mission(terrain))
     assert plan.is_verified

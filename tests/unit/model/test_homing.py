@@ -49,6 +49,7 @@ def test_a_wind_across_faster_than_the_vehicle_stops_the_return():
     assert value(model.homing.ground_speed[0, t]) == pytest.approx(0.5, abs=0.02)
 
 
+@pytest.mark.lengthy
 def test_the_nearest_home_counts_and_never_less_than_it():
     homes = {"mission.rally": [[900.0, 0.0, 10.0]], "wind.speed": 0.0}
     for x in (0.0, 300.0, 440.0, 460.0, 600.0, 900.0):
@@ -59,6 +60,7 @@ def test_the_nearest_home_counts_and_never_less_than_it():
             assert value(model.homing.charge_home[t]) == pytest.approx(min(charges), rel=1e-2)
 
 
+@pytest.mark.lengthy
 def test_airspeed_and_current_are_those_of_least_charge_against_the_wind():
     scenario = load_scenario(PARCEL, {"mission.return_reserve": True})
     told = with_return_flight(Planner(), scenario).mission.return_flight
@@ -116,6 +118,7 @@ def test_behind_no_hill_and_above_it_nothing_is_climbed(tmp_path):
         assert value(model.homing.charge_home[t]) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.lengthy
 def test_the_current_of_the_climb_is_the_greater_of_both_ends(tmp_path):
     fields = with_hill(tmp_path) | {"mission.return_reserve": True}
     del fields["mission.return_flight.climb_current"]

@@ -76,6 +76,7 @@ def test_the_efficiency_keeps_its_floor_where_the_polynomial_has_a_zero():
     assert at.read("power.map_torque", 1) >= 0.0
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("model", ["motor", "shaft", "constant_efficiency"])
 def test_convex_and_increasing_in_thrust(model):
     flight = steady(scenario(power={"model": model}))

@@ -57,6 +57,7 @@ def breaches(found):
     return {slot.name: size for slot, size in named if slot.component in soft_limits.BREACHES}
 
 
+@pytest.mark.lengthy
 def test_above_the_norm_of_the_multipliers_nothing_is_broken_and_below_it_something_is(
     mission, soft, hard
 ):

@@ -44,6 +44,7 @@ def test_known_equations(name, latex):
     assert texts(build_model(scenario()))[name] == latex
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("power", "coupling"),
     [

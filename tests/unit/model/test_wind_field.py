@@ -65,6 +65,7 @@ GRID = {"x": np.linspace(0, 100, 11), "y": np.linspace(0, 90, 10)}
 TALL = GRID | {"z": np.linspace(0, 40, 5), "time": np.linspace(0, 60, 7)}
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("axes", [GRID, TALL])
 @pytest.mark.parametrize("beyond", ["refuse", "hold"])
 def test_a_field_has_exact_first_and_second_derivatives(tmp_path, axes, beyond):
@@ -108,6 +109,7 @@ def test_a_field_has_its_own_values_at_its_points(tmp_path):
     assert value(model.wind.velocity_z[time]) == 0.0
 
 
+@pytest.mark.lengthy
 def test_a_field_of_heights_alone_makes_the_plan_of_the_same_profile(tmp_path):
     speeds = [(3 * np.log1p(h), 0.5 * np.sqrt(h)) for h in HEIGHTS]
     columns = ("height_m", "wind_x_m_per_s", "wind_y_m_per_s")
@@ -131,6 +133,7 @@ def test_work_of_a_spline_does_not_grow_with_its_table():
     assert made[0].n_instructions() == made[1].n_instructions()
 
 
+@pytest.mark.lengthy
 def test_what_two_compiled_models_share_does_not_depend_on_what_was_done_with_them(tmp_path):
     told = mission({"field": field(tmp_path / "w.csv", waves, **GRID)})
     first, again = (compile_model(build_model(told)) for _ in range(2))
@@ -183,6 +186,7 @@ def test_flights_beyond_a_field_are_told_and_held_winds_change_no_more(tmp_path)
     assert line.startswith("at 1.5 s the flight is at (-50, 40, 5) m, where wind.field = ")
 
 
+@pytest.mark.lengthy
 def test_a_forecast_is_a_field_of_its_own(tmp_path):
     true = field(tmp_path / "true.csv", waves, **GRID)
     told = field(tmp_path / "told.csv", lambda x, y: (2.0, 0.0), **GRID)

@@ -93,6 +93,7 @@ def flying(**pack):
     return PLANNER.steady_flight(told)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("speed", [0.0, 7.0, 15.0])
 def test_steady_power_is_that_of_the_plain_writing(steady, speed):
     craft = plain.M100
@@ -118,6 +119,7 @@ def test_endurance_is_the_charge_over_the_current(steady):
     assert steady.endurance(trim, depth, 60) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.lengthy
 def test_in_long_flight_the_slow_drop_is_a_resistance_and_a_warm_pack_lasts_longer(steady):
     def endurance(**pack):
         own = flying(**pack)

@@ -30,6 +30,7 @@ def uniform(*, has_return):
     return find_reach(load_scenario(PARCEL, {"mission.origin": HOME}), has_return=has_return)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("has_return", [False, True])
 def test_in_a_uniform_wind_the_boundary_is_that_of_the_wind_triangle(has_return):
     reach = uniform(has_return=has_return)
@@ -129,6 +130,7 @@ def test_the_outline_lies_at_its_distance_on_the_ellipsoid():
         assert np.cos(turned) == pytest.approx(1.0, abs=1e-5)
 
 
+@pytest.mark.lengthy
 def test_the_command_writes_the_boundary(tmp_path, capsys):
     out = tmp_path / "reach"
     command = ["reach", str(PARCEL), "--return", "--figures", "none", "--out", str(out)]

@@ -41,6 +41,7 @@ def drawn(drawings, folder):
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
 
 
+@pytest.mark.lengthy
 def test_two_processes_write_the_files_of_one(drawings, tmp_path, monkeypatch):
     together = {}
     for cores in (1, 2):

@@ -61,6 +61,7 @@ def plain():
 
 
 # What is blank has no words to compare.
+@pytest.mark.lengthy
 @given(text=st.text().filter(str.strip))
 def test_no_text_adds_a_tag_or_an_attribute(plain, text):
     told = Reader(render(text))
@@ -70,6 +71,7 @@ def test_no_text_adds_a_tag_or_an_attribute(plain, text):
     assert [name for name, _ in told.attributes] == [name for name, _ in plain.attributes]
 
 
+@pytest.mark.lengthy
 @given(st.text().filter(str.strip))
 def test_page_prints_any_text_as_it_stands(text):
     page, words = render(text).replace("<wbr>", ""), words_of(text)

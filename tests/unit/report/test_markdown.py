@@ -118,6 +118,7 @@ def test_what_would_not_be_seen_is_spelled_out(unseen):
     assert markdown.replace("\\\\", "\\").count(spelling) == 15
 
 
+@pytest.mark.lengthy
 @given(st.text().filter(str.strip))
 def test_no_text_adds_to_what_a_reader_of_markdown_finds(text):
     def kinds(words):

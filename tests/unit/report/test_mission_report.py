@@ -347,6 +347,7 @@ def test_the_front_of_a_real_mission_has_its_prices_for_slopes():
         assert np.all(cost >= cost[k] - 1e-4 * energy[k])
 
 
+@pytest.mark.lengthy
 def test_the_map_shows_a_wind_field_in_place_of_its_mean(run):
     told = load_scenario("scenarios/street.toml")
     (axes,) = draw_map(styled_flights(run.flights), told).axes

@@ -124,6 +124,7 @@ def test_a_solve_opens_with_its_outcome_in_plain_words(run, status, said, tmp_pa
     assert said in opening(tmp_path)
 
 
+@pytest.mark.lengthy
 def test_a_solve_whose_time_ran_out_says_what_happened_and_what_it_reached(tmp_path):
     """No table tells of an optimal flight, and nothing is promised that is not said."""
     told = scenario(

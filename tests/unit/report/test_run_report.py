@@ -62,12 +62,14 @@ def _no_figures(monkeypatch):
     monkeypatch.setattr("pyomo_quad.report.report.write_page", lambda *_, **__: None)
 
 
+@pytest.mark.lengthy
 def test_answer_comes_first(report):
     answer, _, margins = (report / "report.md").read_text().split("\n\n")[1].splitlines()
     assert answer == ANSWER
     assert margins.startswith("> No margins: ")
 
 
+@pytest.mark.lengthy
 def test_both_reports_hold_the_same_headings_and_numbers(report):
     text, page = (report / "report.md").read_text(), (report / "report.html").read_text()
     headings = re.findall(r"^## (.*)$", text, re.MULTILINE)
@@ -76,6 +78,7 @@ def test_both_reports_hold_the_same_headings_and_numbers(report):
     assert all(f"| {cell} " in text for cell in cells)
 
 
+@pytest.mark.lengthy
 def test_every_number_travels_with_the_hover_floor(report):
     text = (report / "report.md").read_text()
     row = "10.00 | 723.80 | 0.00 | 709.60 | 14.20 | 1.67 | 85.21 | 708.40 | 2.13 |"
@@ -84,6 +87,7 @@ def test_every_number_travels_with_the_hover_floor(report):
     assert "| `adaptive/step` | no |" in text
 
 
+@pytest.mark.lengthy
 def test_every_figure_is_drawn_in_both_formats_and_linked(report):
     text = (report / "report.md").read_text()
     for name in FIGURES:
@@ -95,17 +99,20 @@ def test_every_figure_is_drawn_in_both_formats_and_linked(report):
     assert {file.stem for file in (report / "figures").iterdir()} == FIGURES
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", ["report.md", "report.html", "comparison.md"])
 def test_stand_in_is_called_one(report, name):
     assert "It stands in for the controller that the paper cites" in (report / name).read_text()
 
 
+@pytest.mark.lengthy
 def test_comparison_reads_back(report):
     read = pd.read_csv(report / "comparison.csv")
     expected = synthetic_run().comparison
     pd.testing.assert_frame_equal(read, expected, check_dtype=False, rtol=1e-11)
 
 
+@pytest.mark.lengthy
 def test_page_fits_in_a_mail(report):
     assert (report / "report.html").stat().st_size < 3e6
 
@@ -324,6 +331,7 @@ def test_the_limit_that_a_flight_breaks_stands_below_the_table(tmp_path):
     assert "zones.<wbr>keep_<wbr>out[mast]" in page
 
 
+@pytest.mark.lengthy
 def test_without_replanning_the_report_does_not_speak_of_it(report):
     assert "Re-planning" not in (report / "report.md").read_text()
     assert not (report / "replanning.csv").exists()

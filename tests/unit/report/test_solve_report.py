@@ -51,6 +51,7 @@ def _no_figures(monkeypatch):
     monkeypatch.setattr("pyomo_quad.report.document.drawn_meanwhile", lambda *_: nullcontext())
 
 
+@pytest.mark.lengthy
 def test_every_figure_is_drawn_and_linked(report):
     text = (report / "report.md").read_text()
     assert all(f"](figures/{name}.svg)" in text for name in FIGURES)
@@ -129,6 +130,7 @@ def test_tables_and_text_are_the_same_bytes_each_time(report, run, tmp_path):
         assert (tmp_path / name).read_bytes() == (report / name).read_bytes()
 
 
+@pytest.mark.lengthy
 def test_figures_are_the_same_bytes_each_time_and_hold_no_date(report, run, tmp_path):
     flights = styled_flights([plan_flight(run.plan)])
     drawings = [d for d in plan_drawings(run.plan, flights) if d.name in DRAWN]

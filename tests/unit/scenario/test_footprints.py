@@ -97,6 +97,7 @@ def test_a_rectangle_is_limited_as_a_box_is():
         assert limits == pytest.approx([limits[0]] * 3, abs=1e-9)
 
 
+@pytest.mark.lengthy
 def test_a_slanted_polygon_forbids_what_is_inside_and_little_more():
     ring = [[10.0, -4.0], [17.0, -1.0], [15.0, 6.0], [9.0, 4.0]]
     m = build_model(told(keep_out=[polygon(ring)]))

@@ -47,6 +47,7 @@ def scenario_or_lines(make):
         assert all(line.strip() for line in lines)
 
 
+@pytest.mark.lengthy
 @ENOUGH
 @given(st.sampled_from(PATHS), toml_values)
 @example(("wind", "series"), {"\r": None})
@@ -54,6 +55,7 @@ def test_any_value_at_any_field(path, value):
     scenario_or_lines(lambda: scenario_from_mapping(set_value(VALID, path, value)))
 
 
+@pytest.mark.lengthy
 @ENOUGH
 @given(st.dictionaries(st.text(max_size=10), toml_values, max_size=4))
 def test_any_tables(tables):
@@ -68,6 +70,7 @@ def test_any_bytes_after_a_valid_start(tmp_path, tail):
     scenario_or_lines(lambda: load_scenario(file))
 
 
+@pytest.mark.lengthy
 @ENOUGH
 @given(st.binary(max_size=200))
 def test_any_wind_file(tmp_path, content):
@@ -90,6 +93,7 @@ def test_any_text_as_the_value_of_an_override(tmp_path, path, text):
     scenario_or_lines(lambda: load_scenario(file, [f"{spell(path)}={text}"]))
 
 
+@pytest.mark.lengthy
 @ENOUGH
 @given(
     duration=st.floats(min_value=0.1, max_value=1e4),

@@ -70,6 +70,7 @@ def test_no_moment_of_inertia_exceeds_the_sum_of_the_others(largest):
     )
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("radius", [None, 0.1])
 def test_no_rotor_hovers_below_the_ideal_power_of_its_disc(radius):
     area = 4 * pi * (0.175 / sqrt(2) if radius is None else radius) ** 2
@@ -106,6 +107,7 @@ def test_what_of_the_papers_vehicle_is_at_the_edge_is_said():
     assert "figure of merit 1.00" in exact.remarks[1]
 
 
+@pytest.mark.lengthy
 def test_check_and_headline_say_what_cannot_exist(tmp_path, capsys):
     file = write_scenario(tmp_path, "vehicle.Iz = 0.2", "solver.elements = 10")
     found = "vehicle.Iz = 0.2 kg m^2; must be at most Ix + Iy = 0.162 kg m^2"

@@ -40,6 +40,7 @@ def airspace(heights=HEIGHTS, **fields):
     return Airspace.model_validate({"ground": ground, "terrain": "t.csv"} | fields)
 
 
+@pytest.mark.lengthy
 def test_netcdf_csv_and_parquet_of_one_terrain_are_one_grid(tmp_path):
     dataset().to_netcdf(tmp_path / "t.nc")
     turned = dataset("Band1", "km").transpose("y", "x").isel(x=slice(None, None, -1))

@@ -81,6 +81,7 @@ def test_the_command_prints_a_line_for_each_fault(tmp_path, capsys):
     assert len(capsys.readouterr().err.splitlines()) == 2
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("model", "more"),
     [

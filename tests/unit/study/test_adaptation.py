@@ -45,6 +45,7 @@ def test_with_adaptation_the_error_vanishes_and_the_wind_is_known(held):
     assert last[list(ESTIMATED)].tolist() == pytest.approx([WIND, 0.0, 0.0], abs=1e-4)
 
 
+@pytest.mark.lengthy
 def test_in_the_papers_wind_adaptation_takes_most_of_the_error_away():
     scenario = flights.scenario("paper_wind")
     table = adaptation_study(scenario, dynamics=flights.vehicle("paper_wind"))

@@ -14,6 +14,8 @@ from pyomo_quad.scenario import ScenarioError, load_scenario
 from pyomo_quad.study.campaign import CHARGE_RESERVE, fly_campaign
 from tests.command import SCENARIOS
 
+pytestmark = pytest.mark.lengthy
+
 HOVER_S = 60.0
 SMALL = (
     f"mission.duration={HOVER_S}",

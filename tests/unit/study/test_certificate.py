@@ -60,6 +60,7 @@ def test_momentum_demand_is_read_off_the_declared_balance():
     np.testing.assert_allclose(demand.thrust(4.0, **motion), needed, rtol=1e-12)
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("tables", "reason"),
     [

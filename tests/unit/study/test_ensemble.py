@@ -55,6 +55,7 @@ def often(count, seed):
     )
 
 
+@pytest.mark.lengthy
 def test_a_seed_gives_the_same_winds_whatever_the_count():
     few, many, other = often(3, 1), often(6, 1), often(3, 2)
     assert many.of_flights("energy_J")[:3] == pytest.approx(few.of_flights("energy_J"), rel=1e-12)
@@ -63,6 +64,7 @@ def test_a_seed_gives_the_same_winds_whatever_the_count():
     assert many.bands().iloc[-1]["energy_J_50_percent"] == pytest.approx(many.band("energy_J")[1])
 
 
+@pytest.mark.lengthy
 def test_errors_of_the_mass_are_drawn_with_their_deviation():
     heavy = ("vehicle.mass_deviation=0.05", "vehicle.mass=1.3")
     plan = flights.plan("paper_calm", *HOP[:-1], *heavy)
@@ -87,6 +89,7 @@ def test_a_saving_compares_flights_of_one_wind():
     assert saving.both_succeeded == 1
 
 
+@pytest.mark.lengthy
 def test_an_autopilot_waits_until_half_of_its_flights_have_arrived():
     mission = flights.scenario("paper_calm", *HOP, "limits.speed_max=0.3")
     settings = CruiseSettings(speed=2.0, acceleration=3.0, jerk=4.0)

@@ -43,6 +43,7 @@ def runs(monkeypatch):
     return made
 
 
+@pytest.mark.lengthy
 def test_two_cores_fly_what_one_does(runs):
     alone, together = runs[1], runs[2]
     names = ["optimal", "adaptive/step", "adaptive/minimum_snap", "open_loop/plan"]

@@ -38,6 +38,7 @@ def planner():
     return Planner()
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("name", [name for name in WITHIN if name != "dji_matrice_100"])
 def test_a_library_vehicle_keeps_to_its_measurements(name, planner):
     held = held_against(name, planner)

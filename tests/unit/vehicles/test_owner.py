@@ -111,6 +111,7 @@ def test_a_cell_has_the_voltages_that_it_is_said_to_have():
     assert pack_of("6s2p9000 mAh").fields()["capacity"].value == 4.5
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("rotors", [6, 8])
 def test_more_rotors_hover_on_the_same_power_per_disc(rotors):
     """Twice the mass on twice the discs takes twice the power, but for the electronics."""
@@ -124,6 +125,7 @@ def test_more_rotors_hover_on_the_same_power_per_disc(rotors):
     assert without[1] == pytest.approx(without[0] * rotors / 4, rel=1e-3)
 
 
+@pytest.mark.lengthy
 def test_the_band_holds_the_power_and_a_measured_hover_narrows_it():
     planner = Planner()
     guessed = power_band(estimate_vehicle(known()), planner)

@@ -51,6 +51,7 @@ def test_a_pendulum_of_index_3_is_refused_with_the_form_to_write():
         compile(pendulum(length))
 
 
+@pytest.mark.lengthy
 def test_the_reduced_form_swings_as_elliptic_integrals_say():
     problem = compile(pendulum(tension))
     assert "index of the DAE" not in problem.summary

@@ -46,6 +46,7 @@ def test_a_breach_above_what_is_forgiven_is_not(solution, breach):
     assert lax.violation.max() == pytest.approx(strict.violation.max())
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize("breach", [0.0, 0.01])
 def test_a_control_held_to_its_limit_misses_what_its_flight_does(breach):
     # The switch lies inside an element, and the polynomial goes beyond both limits beside it.

@@ -61,6 +61,7 @@ def farthest(solution, names, expected):
     return np.max(np.abs(found - expected(times)))
 
 
+@pytest.mark.lengthy
 @pytest.mark.parametrize(
     ("case", "tolerance"),
     [
@@ -103,6 +104,7 @@ def test_braking_onto_an_arc_is_no_wronger_than_twice_what_is_claimed(tolerance)
     assert farthest(solution, ["x", "v"], expected) <= 2 * solution.state_error
 
 
+@pytest.mark.lengthy
 def test_the_order_of_an_arc_is_found():
     few = RefinementOptions(max_meshes=3)
     orders = [

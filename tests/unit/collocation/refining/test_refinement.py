@@ -113,6 +113,7 @@ def limited_mass():
     return collocation.compile(m)
 
 
+@pytest.mark.lengthy
 def test_limits_that_move_leave_no_more_than_the_tolerance():
     problem, tolerance = limited_mass(), 1e-8
     for limits_move in (False, True):

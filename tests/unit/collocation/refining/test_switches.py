@@ -17,6 +17,7 @@ from tests.problems import bang_bang, double_integrator
 from tests.problems.published.mechanics import COMPLEMENTARY_COST, complementary
 
 
+@pytest.mark.lengthy
 def test_a_penalised_complementarity_is_no_farther_off_than_claimed():
     solution = compile(complementary()).solve(tolerance=1e-6)
     assert solution.is_converged
