@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -32,6 +32,7 @@ from pyomo_quad.flight.stricter_limits import broken_limits, mesh_where_broken, 
 from pyomo_quad.flight.verdict import energy_of, plan_of, verified
 from pyomo_quad.flight.verification import BALANCE_TOLERANCE, shares_lacking, tolerated
 from pyomo_quad.model.battery import GIVEN_SHARE
+from pyomo_quad.model.mission import chosen_times
 from pyomo_quad.scenario.accuracy import FIGURES, Accuracy
 
 if TYPE_CHECKING:
@@ -278,7 +279,7 @@ class Candidate:
         if isinstance(self.start, Plan):
             start = self.start.warm_start
             mesh = self.start.mesh if start is None else start.mesh
-            self.solution = self.mission.solve_from(self.start.guess(), mesh)
+            self.solution = self.mission.solve_from(guess_from(self.start, self.mission.told), mesh)
         return self._outcome()
 
     def is_long(self) -> bool:
@@ -742,3 +743,24 @@ class Candidate:
         if gentler.plan.is_verified:
             self.solution, self.flown = gentler.solution, gentler.flown
         return gentler.found.status.value
+
+
+def guess_from(plan: Plan, scenario: Scenario) -> dict[str, Any]:
+    """Return a plan as an initial guess for the solve of a mission with the same waypoints.
+
+    Full names of states and controls map to their values at the n nodes of the plan, shape (n,).
+    "time" maps to the nominal times of the nodes, shape (n,): fractions of the horizon if the
+    duration of the mission `scenario` is free, else seconds. Names of variables for times that a
+    solve chooses map to the times of the plan [s].
+    """
+    held, times = plan.trajectories, plan.trajectories.node_times
+    guess = dict(zip(held.state_names, held.states.T, strict=True))
+    guess |= dict(zip(held.control_names, held.controls_at(times).T, strict=True))
+    waypoints, reached = scenario.mission.waypoints, plan.passing_times_s
+    if len(reached) != len(waypoints):
+        return guess | {"time": times / times[-1] if scenario.mission.is_free else times}
+    passed = [t + hold for t, w in zip(reached, waypoints, strict=True) for hold in (0.0, w.hold)]
+    nominal = scenario.nominal_times
+    told = np.interp(times, [0.0, *passed, times[-1]], [0.0, *nominal])
+    guess |= chosen_times(scenario, reached, float(times[-1]))
+    return guess | {"time": told / nominal[-1] if scenario.mission.is_free else told}

@@ -27,6 +27,7 @@ from pyomo_quad.flight.smoothed_route import Pace, SmoothPath, Stop, smoothed
 from pyomo_quad.flight.steady import PITCH, ROLL
 from pyomo_quad.flight.verdict import path_of, plan_of, verified
 from pyomo_quad.flight.verification import is_of_airspace
+from pyomo_quad.model.mission import chosen_times
 from pyomo_quad.scenario.accuracy import Accuracy
 
 if TYPE_CHECKING:
@@ -267,21 +268,15 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
-    passings = [path.passings[end] for end in ends]
-    times = {"duration": path.duration} if told.mission.is_free else {}
-    for k, ((reached, left), waypoint) in enumerate(
-        zip(passings, told.mission.waypoints, strict=True)
-    ):
-        times[f"mission.passing_time[{k}]"] = reached
-        if waypoint.hold:
-            times[f"mission.leaving_time[{k}]"] = left
+    reached = tuple(path.passings[end][0] for end in ends)
+    times = chosen_times(told, reached, path.duration)
     solution = mission.unsolved(mesh=mission.arguments["mesh"], guess=times)
     plan = plan_of(told, solution, dict(mission.timings), mission.hover_energy(solution))
     return (
         replace(
             plan,
             trajectories=_flat(told, solution.dynamics, mission.steady, path),
-            passing_times_s=tuple(reached for reached, _ in passings),
+            passing_times_s=reached,
             error_estimate=0.0,
             history=(),
             iterations=(),

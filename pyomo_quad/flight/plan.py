@@ -897,20 +897,6 @@ class Plan(Summarised):
         frame["hamiltonian"] = held.hamiltonian
         return frame
 
-    def guess(self) -> pd.DataFrame:
-        """Return states and controls at the nodes as a table, for use as an initial guess.
-
-        The columns are "time" [s] and the full names of the states and controls.
-        """
-        import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
-
-        held, times = self.trajectories, self.trajectories.node_times
-        frame = pd.DataFrame(held.states, columns=list(held.state_names))
-        for name, column in zip(held.control_names, held.controls_at(times).T, strict=True):
-            frame[name] = column
-        frame.insert(0, "time", times)
-        return frame
-
     def plot(self, what: str = "path") -> Picture:
         """Draw a figure of the plan, or a column of its table over time.
 

@@ -8,7 +8,7 @@ thrust is 0.07 % less than the weight. In this module, the thrust at start and g
 weight: the rotor speed omega satisfies 4 kappa_b omega^2 = m g.
 """
 
-from collections.abc import Callable, Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -185,6 +185,24 @@ def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
         if scenario.mission.waypoints[k].hold > 0:
             free[passages[2 * k + 1]] = m.mission.leaving_time[k]
     return free
+
+
+def chosen_times(
+    scenario: Scenario, passing_times: Sequence[float], duration: float
+) -> dict[str, float]:
+    """Return values for the Pyomo variables of all times that a plan chooses, by their full names.
+
+    `passing_times` are the times at which each waypoint of `scenario` is reached, and `duration` is
+    the duration of the flight [s].
+    """
+    times = {"duration": duration} if scenario.mission.is_free else {}
+    for k, (waypoint, reached) in enumerate(
+        zip(scenario.mission.waypoints, passing_times, strict=True)
+    ):
+        times[f"mission.passing_time[{k}]"] = reached
+        if waypoint.hold:
+            times[f"mission.leaving_time[{k}]"] = reached + waypoint.hold
+    return times
 
 
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
