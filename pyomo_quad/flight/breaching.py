@@ -42,10 +42,9 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 class LimitDistance:
     """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
-    The constraint is a path constraint, such as the limit on the roll angle. It has a lower bound,
-    an upper bound, or both. The distance is the difference between the bound and the constrained
-    quantity, here the roll angle. It is positive within the bound and negative beyond it. The
-    flights follow one plan under feedback. The arrays have one entry for each of n times.
+    The distance is the difference between the bound, such as the limit on the roll angle, and the
+    constrained quantity. It is positive within the bound. The flights follow one plan under
+    feedback, at n times.
 
     Attributes
     ----------
@@ -82,14 +81,8 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A plan with a margin m must keep at least the distance m from the limit. The statistics
-        belong to the present plan. The distance of the new plan at each time is predicted from the
-        distance d of the present plan:
-
-        - If the present plan is at its margin, d becomes the new margin.
-        - Otherwise, d becomes max(d, new margin).
-
-        The distance of the mean flight changes by the same amount.
+        A plan keeps at least its margin from the limit. The planned distance d becomes max(d, new
+        margin), or the new margin itself where the present plan is at its margin.
 
         Parameters
         ----------
@@ -105,15 +98,14 @@ class LimitDistance:
         """
         is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
         to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
+        # The distance of the mean flight changes by the same amount as that of the plan.
         return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, present: float, largest: float) -> float:
         """Return the smallest margin at which the probability of breaking the limit is low enough.
 
-        `share` is the largest acceptable probability. A margin is the amount by which the limit is
-        tightened for a plan, in the unit of the limit. `present` is the margin of the plan for
-        which these statistics were computed. `largest` is the largest margin considered; it is
-        returned if even it is too small.
+        `share` is the largest acceptable probability, and `present` the margin of the present plan.
+        If `largest` is too small, it is returned. Margins are in the unit of the limit.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -239,9 +231,8 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 class Miss:
     """Random samples of flights in turbulence: distance from a goal or waypoint, or speed there.
 
-    The samples are of one quantity that the mission limits: the distance of the vehicle from the
-    goal or waypoint, or the speed of the vehicle there. Each instant at which the limit applies has
-    its own samples.
+    The samples are of one quantity that the mission limits. Each instant at which the limit applies
+    has its own samples.
 
     Attributes
     ----------
@@ -267,8 +258,7 @@ class Miss:
     def probability(self) -> float:
         """Upper bound on the probability that a flight breaks the limit at one of the instants.
 
-        A flight breaks the limit if it is too far from the goal or waypoint, or too fast there. The
-        bound is the sum of the probabilities at the instants at which the limit applies, at most 1.
+        The bound is the sum of the probabilities at the instants, at most 1.
         """
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 

@@ -42,10 +42,8 @@ class Planner(Problems):
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context manager for a series of solves that the user may stop together.
 
-        In `with planner.until_stopped() as is_stopped`, the name `is_stopped` is a function without
-        arguments. The function returns whether the user has stopped one of the solves. In this
-        class, a user cannot stop solves, and the function returns False. In the planner of the
-        command line, it returns whether Ctrl-C was pressed.
+        It gives a function that returns whether the user has stopped a solve. Here the function
+        returns False; in the planner of the command line, whether Ctrl-C was pressed.
         """
         return nullcontext(lambda: False)
 
@@ -114,15 +112,8 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
-        durations that decrease towards the least duration. Each solve starts from the previous
-        solution. The result is the plan of the shortest duration that a simulation confirms to the
-        requested accuracy. If none is confirmed, it is the first of these plans, which has the
-        longest duration.
-
-        If the minimum-time problem cannot be solved, the mission is solved for the least energy,
-        from the initial point `start` (None for the model's own). This plan is returned with the
-        status "not converged". `search` is the progress callback of all solves.
+        The result is the verified plan of the shortest duration, or the longest plan if none is
+        verified. `start` is used only if the minimum-time problem fails.
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

@@ -98,9 +98,8 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
     """Yield the name of each model block with registered parameters, and their declarations.
 
-    A declaration, `Parameter`, states name, unit and meaning of a number in the block. The
-    declarations of a block come from the function that the decorator `parameters_in` has
-    registered.
+    The function that the decorator `parameters_in` has registered gives the declarations of a
+    block.
     """
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))

@@ -72,9 +72,8 @@ class PackFacts:
 def pack_facts() -> tuple[PackFacts, ...]:
     """Compute energy and power of three battery packs, and compare them with hovering.
 
-    The packs are the single cell that Yacef et al. print, several of these cells in series, and the
-    battery of the vehicle's maker. Each pack is compared under two power models: the motors'
-    electrical power, and the power with the efficiency f_r of Yacef et al.
+    Each pack is compared under two power models: the motors' electrical power, and the power with
+    the efficiency f_r of Yacef et al.
 
     Returns
     -------

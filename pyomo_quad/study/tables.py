@@ -11,9 +11,8 @@ if TYPE_CHECKING:
 class TableColumn(StrEnum):
     """Base class of enumerations of a table's columns, one member for each column, in order.
 
-    The value of a member is the heading of the column. If the rows are made from objects, the
-    member also has a function `read`. This function takes the object of a row, and returns the
-    value of the row in this column.
+    The value of a member is the heading of the column. The function `read` of a member takes the
+    object of a row, and returns its value in the column.
     """
 
     read: Callable[[Any], object]
@@ -21,9 +20,8 @@ class TableColumn(StrEnum):
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
         """Make a column of a table, with the heading `name`.
 
-        If each row of the table is made from an object, `read` is the function that takes this
-        object and returns the row's value in this column. If the rows are given as values, `read`
-        is not used.
+        `read` takes the object of a row and returns its value in the column. It is not used for
+        rows that are given as values.
         """
         column = str.__new__(cls, name)
         column._value_ = name
