@@ -98,10 +98,10 @@ def _ending_signals() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """Finish a command, and return the given exit status.
+    """Return `status`, the exit status of the command, at the end of its process.
 
-    If a signal has started the timer that ends the process, the process ends at once, with this
-    status.
+    If a signal has started the timer of `Interruption`, this function does not return. It ends the
+    process at once, with this status.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)

@@ -213,7 +213,7 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     The new accuracy is the first of these that applies:
 
     - `solver.accuracy` in the overrides;
-    - the accuracy of the plan's scenario, if no simulation has confirmed the plan to it yet;
+    - the accuracy of the plan's scenario, if no simulation has confirmed that the plan reaches it;
     - the next higher accuracy.
 
     Parameters
@@ -259,8 +259,8 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
-    The result is False if no risk is stated or assessed. It is also False if no simulation has
-    confirmed the plan.
+    The result is False if the scenario states no permitted risk, if the plan's risk was not
+    assessed, or if no simulation has confirmed the plan.
     """
     # The scenario's risk is the permitted probability that a flight breaks a limit. If no
     # simulation has confirmed the plan, the plan's status reports the failure.

@@ -378,8 +378,8 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    The line also marks a value at an end of its range. Another mark says that the measurements do
-    not determine the parameter, whose value is kept.
+    The line also says if the value is at an end of its range. If the measurements do not determine
+    the parameter, the line says so instead, and the value is that before the fit.
 
     Parameters
     ----------

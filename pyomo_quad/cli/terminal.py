@@ -81,8 +81,8 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    Examples are a closed pipe and a full disk. After such an error, all further output goes to the
-    null device.
+    Examples are a closed pipe and a full disk. If the result is True, the function has redirected
+    standard output to the null device.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False

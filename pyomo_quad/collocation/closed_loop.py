@@ -285,11 +285,9 @@ class ClosedLoop:
         return cls(dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0)
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
-        """Return the CasADi function of the closed loop.
+        """Return the CasADi function of the closed loop, for the attribute `function`.
 
-        The inputs are the time-dependent inputs of the equations, the joint state and the command.
-        The outputs are the time derivative of the joint state, and the controls. `sizes`, from
-        `joint_sizes`, are the sizes of the inputs.
+        `sizes`, from `joint_sizes`, are the sizes of the function's three inputs.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
@@ -337,8 +335,8 @@ class ClosedLoop:
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives with respect to the n_moment time-dependent inputs of the equations, which
-            `Dynamics.moment` returns.
+            Derivatives with respect to the time-dependent inputs of the equations. The n_moment
+            inputs are those that `Dynamics.moment` returns.
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         """

@@ -92,10 +92,10 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix that subtracts a fitted smooth polynomial from values in an element.
+    """Return the matrix R such that R v is the residual of a smooth fit to values v.
 
-    The nodes of an element are its left end and its d collocation points. The fit is a polynomial
-    of degree d - 2, by least squares. The matrix has shape (d + 1, d + 1).
+    The values belong to the left end and the d collocation points of an element. The fit is a
+    polynomial of degree d - 2, by least squares. The shape of R is (d + 1, d + 1).
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -183,10 +183,10 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two gradients that occur in the adjoint equations of the costates.
+    """Return the gradients of a weighted sum w . g at each collocation point.
 
-    They are those of a weighted sum of path equations (constraints at every collocation point) and
-    integrands of the model's integrals.
+    Here g are the path equations (constraints at every collocation point) and the integrands of the
+    model's integrals, and w are the `weights`. The gradients occur in the adjoint equations.
 
     Parameters
     ----------
@@ -240,9 +240,11 @@ def costate_errors_of(
 ) -> FloatArray:
     """Estimate the largest relative error of each costate over the horizon.
 
-    The error is relative to `costates.sizes`. It is the largest of three estimates: for the
-    integration, for jumps at limits on states, and for the effect of jumps on other costates. See
-    docs/theory/transcription.md, eq. (13).
+    The result is the largest of three estimates; see docs/theory/transcription.md, eq. (13):
+
+    - the error of the integration of the adjoint equations;
+    - the error from jumps of the costate, which occur at limits on states;
+    - the error from such jumps of other costates.
 
     Parameters
     ----------
@@ -260,7 +262,7 @@ def costate_errors_of(
     Returns
     -------
     ndarray, shape (n_states,)
-        Largest error of each costate, divided by the magnitude of this costate; dimensionless.
+        Largest error of each costate, divided by its magnitude in `costates.sizes`; dimensionless.
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())

@@ -400,8 +400,8 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
-    The elastic program has the constraints of the failed solve's program. Each family of limits
-    shares a slack, as `SoftRows` describes.
+    Ipopt solves an elastic program: that of the failed solve, with slacks in the limits and their
+    sum as the objective. All limits of a family share one slack, as in `SoftRows`.
 
     Parameters
     ----------
@@ -417,8 +417,8 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
     -------
     IpoptResult
         Ipopt's result for the elastic program. Its unknowns are, in this order: the unknowns of the
-        original program; the relative violations of the limits on constraints; and the slacks of
-        the families.
+        original program; a relative violation for each limit on a constraint, at most the slack of
+        its family; and the slacks of the families.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)

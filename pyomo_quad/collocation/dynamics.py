@@ -133,13 +133,13 @@ class Dynamics:
         """Return the CasADi function of the right-hand side.
 
         The inputs are states, controls, static variables (variables without time), and data
-        (fraction of the horizon and parameters). The outputs are two columns, with rates and
-        integrand per unit of the fraction of the horizon:
+        (fraction of the horizon and parameters). The outputs are two columns:
 
-        - the rates of all states, then the algebraic variables that equations determine;
-        - the objective's integrand, then the derivative of time with respect to the fraction.
+        - the rates dx/ds of all states x, then the algebraic variables that equations determine;
+        - the objective's integrand per unit of s, then dt/ds.
 
-        `states` also contain the states on which nothing depends.
+        Here s is the fraction of the horizon, and t is the physical time. `states` are the states
+        of the nonlinear program, then the output states.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -176,10 +176,11 @@ class Dynamics:
         return casadi.Function(_RIGHT_HAND_SIDE, symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
-        """Return a right-hand side that solves implicit equations by 20 Newton steps.
+        """Return a right-hand side that solves implicit equations by exactly 20 Newton steps.
 
-        In implicit equations, rates (derivatives of the states) or algebraic variables enter
-        nonlinearly. If the model has only explicit equations, the result is this object itself.
+        It is faster than an iteration until convergence. In implicit equations, rates (derivatives
+        of the states) or algebraic variables enter nonlinearly. If no equation is implicit, the
+        result is this object itself.
         """
         return self if self._right_hand_side.is_a("SXFunction") else self._written_out
 
@@ -448,8 +449,8 @@ class Dynamics:
     def _slopes(self) -> Any:
         """CasADi function of the Jacobians of the right-hand side, with the inputs of `_compile`.
 
-        The first output is the integrand with the time derivative. The others are the Jacobians of
-        rates and determined variables, with respect to states and to controls.
+        There are three outputs. The first is the second output of `_compile`. The others are the
+        Jacobians of the first output of `_compile`, with respect to states and to controls.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -901,8 +902,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Newton's method will solve the nonlinear part. The linear rest gives all other unknowns, and
-        is solved here symbolically.
+        Newton's method will solve the nonlinear part. The other equations are linear in the other
+        unknowns, and are solved here symbolically.
 
         Parameters
         ----------
@@ -914,9 +915,8 @@ class _Core:
             States, controls, static variables (variables without time) and data (fraction of the
             horizon and parameters).
         rest : casadi.SX
-            Column of two expressions to be evaluated at the solution of the equations: the
-            objective's integrand, and the derivative of time with respect to the fraction of the
-            horizon.
+            Column of two further outputs of `_Core.known`: the objective's integrand, and the
+            derivative of time with respect to the fraction of the horizon.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -966,8 +966,9 @@ class _WithoutIterations(Dynamics):
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
     """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
 
-    The nonlinear part has all unknowns that enter an equation nonlinearly, and all equations
-    without other unknowns. If it has more equations than unknowns, or fewer, the rest is empty.
+    The nonlinear part consists of all unknowns that enter an equation nonlinearly, and of the
+    equations that contain only these unknowns. If their numbers differ, the nonlinear part has all
+    equations and all unknowns.
 
     Parameters
     ----------

@@ -82,10 +82,10 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Result of the failed solve that the caller requested, with a verdict on feasibility.
+        """The failed solution in `first`, with a verdict on the feasibility of the problem.
 
-        The verdict states whether the problem is infeasible near the last iterate. The first access
-        minimises the constraint violation.
+        The verdict states whether the problem is infeasible near the last iterate. At the first
+        access, `judge` minimises the constraint violation for it.
         """
         return self.judge(self.failed)
 
@@ -138,8 +138,8 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        This class, for several horizons, ignores `first`: it always begins at the warm start or
-        guess that the caller gave.
+        This method ignores `first`, and always begins at the warm start or guess that the caller
+        gave. A subclass for a single horizon takes `first` into account.
 
         Parameters
         ----------
@@ -164,8 +164,11 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        A success ends the search. A failure ends it only for the solve that the caller requested.
-        That solve must have diverged, or the caller allows fewer than 200 iterations.
+        A success ends the search. The failure of a fallback strategy does not. The failure of the
+        solve that the caller requested ends the search in two cases:
+
+        - the solve diverged;
+        - the caller allows fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first

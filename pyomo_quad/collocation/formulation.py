@@ -106,9 +106,8 @@ class Evaluator:
         Column vectors of the symbols of five inputs of the functions: rates (derivatives of the
         states with respect to the fraction of the horizon); states; algebraic variables; static
         variables, which do not depend on time; and data (fraction of the horizon, time-dependent
-        parameters, constant parameters). Rates and states begin with the states of the nonlinear
-        program. The output states follow: neither the objective nor other equations depend on
-        them.
+        parameters, constant parameters). The columns of rates and of states cover first the states
+        of the nonlinear program, then the output states.
     writer : TemplateWriter or WrittenComponents
         Source of the expressions of the components.
     """
@@ -265,9 +264,8 @@ _NEWTON_TOLERANCE = 1e-13
 class OutputStates:
     """Solver for the output states, which affect neither the objective nor other equations.
 
-    An example is an energy that is only reported. Output states are left out of the nonlinear
-    program. For its solution, Newton's method solves the collocation equations of the output
-    states.
+    An example is an energy that is only reported. The nonlinear program leaves output states out.
+    After its solution, Newton's method computes them from their own collocation equations.
     """
 
     def __init__(self, compiled: CompiledModel) -> None:

@@ -214,8 +214,8 @@ class _Known:
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
         """Compute the algebraic variables that equations define and that have no known value.
 
-        The result is a copy of the initial point `z`, moved inside the bounds. If a computed value
-        is infinite or NaN, the result is `z` itself.
+        The result is a copy of the initial point `z` with these values, moved inside the bounds. If
+        a computed value is infinite or NaN, the result is `z` itself.
         """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns
@@ -237,10 +237,11 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Set initial values of the free times, and correct them so that all times increase.
+        """Set the free times in the initial point `z` such that all times increase.
 
-        A free time is a static variable: the physical time of a member of the continuous set. The
-        initial point `z` is changed in place.
+        A free time is a static variable of the model: a physical time that the solve determines. If
+        neither guess nor model gives its value, it begins at the time declared in the continuous
+        set. The array `z` is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -382,9 +383,9 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point inside the bounds.
 
-    A static variable gets one random value. A variable over time is linear between four values at
-    equally spaced times. Values are uniform between two bounds below 1e6 in magnitude, and
-    otherwise normal around `z`.
+    A static variable gets one random value. A variable over time gets four, at equally spaced
+    times, and is linear between them. If both bounds are below 1e6 in magnitude, the values are
+    uniformly distributed between them. Otherwise they are normally distributed around `z`.
 
     Parameters
     ----------
@@ -428,8 +429,8 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
     """Return the initial value `number` of the unknown `column`, moved inside its bounds.
 
-    If the value is NaN or outside, the result is the middle between finite bounds, or the only
-    finite bound. Without finite bounds, NaN becomes infinity.
+    If the value is NaN or outside, and both bounds are finite, the result is their middle. If only
+    one bound is finite, the result is this bound. If none is finite, the result for NaN is inf.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:

@@ -418,8 +418,9 @@ class JointProblem(Summarised):
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
         """Split the user's guess into one guess per horizon, and a guess for all other variables.
 
-        The mapping under a horizon's name replaces all other guesses for its variables. The last
-        item of the list is the guess for variables of no horizon.
+        If `guess` has an item with the name of a horizon, this item is the guess for the horizon.
+        All other guesses for the horizon's variables are then ignored. The last item of the result
+        is the guess for variables that belong to no horizon.
 
         Raises
         ------
@@ -676,7 +677,7 @@ class JointProblem(Summarised):
         """Raise an error if the joint program cannot be evaluated or its equations cannot be met.
 
         The program cannot be evaluated if a constraint, the objective or a derivative is infinite
-        or NaN at `z`. For its equations, see `refuse_overdetermined`.
+        or NaN at `z`. The function `refuse_overdetermined` checks the equations.
         """
         held = set()
         for k, program in enumerate(union.programs):

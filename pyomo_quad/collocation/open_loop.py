@@ -133,8 +133,8 @@ class OpenLoopSteps:
     ) -> Iterator[tuple[Any, ...]]:
         """Return the times and the inputs of n Runge-Kutta steps, one tuple per step.
 
-        The items are start and end [s], time-dependent inputs and controls at all stages, and
-        duration [s]. `control` returns the controls at times [s].
+        A tuple has five items: start [s], end [s], time-dependent inputs at all stages, controls at
+        all stages, and duration [s]. `control` returns the controls at times [s].
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C
@@ -150,8 +150,8 @@ class OpenLoopSteps:
     ) -> tuple[FloatArray, float]:
         """Return the joint state after one step, and the step's error relative to the tolerance.
 
-        The error is infinite if the new state is not finite. `inputs` are the last three items from
-        `_inputs`. `tolerance` is absolute and relative.
+        The error is infinite if the new state is not finite. `inputs` are the last three items of a
+        tuple from `_inputs`. `tolerance` is absolute and relative.
         """
         outputs = self._step(joint[None, :], *(values[None, :] for values in inputs))
         after, high, low = (output[0] for output in outputs)

@@ -508,8 +508,7 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    The general function `refine` of the module `refining.refinement` takes one mesh per horizon.
-    Here its tuples have length one.
+    This function calls `refine`, which accepts several horizons, with tuples of one mesh.
 
     Parameters
     ----------
@@ -596,9 +595,9 @@ def march(
 def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
-    Each solution covers one horizon of the model, or the variables of no horizon. The values go to
-    variables, to derivatives at the declared times, to `pyomo.dae.Integral` components, and to
-    imported suffixes.
+    With several horizons, there is one solution per horizon, and one for variables that belong to
+    no horizon. The values go to variables, to derivatives at the declared times, to
+    `pyomo.dae.Integral` components, and to imported suffixes.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

@@ -331,8 +331,8 @@ class Solution(Outcome):
         """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
         The boundaries of `mesh` are fractions of the model's continuous set instead. The two meshes
-        differ only if the solve determines times inside the horizon. The values at the nodes are
-        the same.
+        differ only if the solve determines times inside the horizon. The values at the nodes of
+        `mesh` are also the values at the nodes of this mesh.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -353,8 +353,8 @@ class Solution(Outcome):
     def output_states(self) -> FloatArray:
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
-        Neither objective nor other equations depend on output states, for example an energy that is
-        only reported. They are not unknowns of the program.
+        Neither the objective nor other equations depend on an output state. An example is an energy
+        that is only reported. Output states are not unknowns of the program.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:

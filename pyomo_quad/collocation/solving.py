@@ -122,8 +122,10 @@ class _WholeSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether no further solution strategy needs to be tried; `found` is ignored.
 
-        The result is False if the last solve was stopped at its budget of iterations, or if the
-        solve from the guess after it failed.
+        The result is False in two cases:
+
+        - The solve from the warm start used up its budget of iterations.
+        - The next solve, which started from the guess, failed.
         """
         del found
         return self.has_ended
@@ -139,8 +141,9 @@ def within_budget(
 ) -> S:
     """Solve from a warm start; if its budget of iterations is used up, solve from the guess.
 
-    The budget is the iterations of an earlier solve from the guess, on the first mesh and on all
-    meshes. If the new one fails, the warm start continues without budget.
+    The budget is two numbers of iterations: those that an earlier solve from the guess took on the
+    first mesh, and on all meshes. If the new solve from the guess fails, the solve from the warm
+    start is continued without a budget.
 
     Parameters
     ----------

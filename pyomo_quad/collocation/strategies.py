@@ -149,9 +149,9 @@ class Strategy:
     def settings(self, options: SolverOptions) -> SolverOptions:
         """Return the settings of Ipopt with which the strategy solves.
 
-        Without the attribute `barrier`, they are the caller's `options`. Otherwise `mu_strategy`
-        has the value `barrier`, and the lower of the limits of iterations of caller and strategy
-        holds.
+        If the attribute `barrier` is None, they are the caller's `options`. Otherwise, Ipopt's
+        option `mu_strategy` is set to `barrier`. The limit of iterations is then the smaller of two
+        limits: that in `options` and the attribute `iterations`.
         """
         if self.barrier is None:
             return options

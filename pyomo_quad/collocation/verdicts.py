@@ -291,8 +291,8 @@ def _undoubted(solution: S) -> S:
 def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    The message of the result names the table. A solution that has failed anyway keeps its status,
-    and the line is appended to its message.
+    The message of the result names the table. A solution that has failed for another reason keeps
+    its status, and the text about the table is appended to its message.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:

@@ -352,7 +352,8 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    In the result, every quantity is both a state and a control.
+    The table does not tell states from controls. In the result, every quantity is therefore listed
+    twice: as a state and as a control.
 
     Parameters
     ----------

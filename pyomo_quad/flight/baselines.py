@@ -174,7 +174,8 @@ def _hovering(
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     """Return the charge missing from the full battery at the start of the flight [A h].
 
-    At this charge, the model `dynamics` has the initial state of charge of `scenario`.
+    The result is the charge q with s(q) = `scenario.battery.initial_state_of_charge`. The function
+    s gives the state of charge in the model `dynamics`.
     """
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
@@ -397,7 +398,8 @@ class _Loop:
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the joint state of vehicle, controller and energy at the initial time t [s].
 
-        `last` is the final state of the controller in the previous part of the flight, or None.
+        `last` is the final state of the controller in the previous part of the flight. It is None
+        if there is no previous part.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -477,9 +479,9 @@ def fly_baseline(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        The plan to follow, if the reference is the plan. With any reference, the final costates of
-        a given plan serve to estimate the energy still needed: from the final state of the flight
-        to hover at the goal.
+        The plan to follow, if the reference is the plan. For every reference, the final costates of
+        a given plan are used to estimate the energy still needed at the end of the flight. This is
+        the energy to get from the final state to hover at the goal.
 
     Returns
     -------
@@ -850,8 +852,9 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons, in words, why a simulated flight is not verified.
 
-    Either the integrators differ, or the battery lacks power, charge or voltage. `flown_twice` has
-    each part by two integrators, `flown` the whole flight by the first.
+    Reasons are that two integrators differ, or that the battery lacks power, charge or voltage.
+    `flown_twice` has two simulations of each part of the flight, one by each integrator. `flown` is
+    the whole flight, simulated by the first integrator.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])

@@ -81,8 +81,9 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A plan keeps at least its margin from the limit. The planned distance d becomes max(d, new
-        margin), or the new margin itself where the present plan is at its margin.
+        Let d be the distance of the present plan from the limit. At times at which d equals the
+        present margin, the new plan has the distance `changed`. At other times, it has the distance
+        max(d, `changed`).
 
         Parameters
         ----------
@@ -105,7 +106,8 @@ class LimitDistance:
         """Return the smallest margin at which the probability of breaking the limit is low enough.
 
         `share` is the largest acceptable probability, and `present` the margin of the present plan.
-        If `largest` is too small, it is returned. Margins are in the unit of the limit.
+        The result is at most `largest`, even if that margin does not suffice. Margins are in the
+        unit of the limit.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -239,10 +241,10 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Name of the scenario field, such as the radius of the waypoint, which is tightened for the
-        plan so that fewer flights break the limit. Empty if no field can be tightened, as for the
-        goal, which every plan reaches exactly. Then only a larger reserve of thrust for the
-        controller can help.
+        Name of the scenario field that is tightened so that fewer flights break the limit. An
+        example is the radius of a waypoint. Empty if no field can be tightened, as at the goal,
+        which every plan reaches exactly. Only a larger reserve of thrust for the controller then
+        helps.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float

@@ -227,8 +227,8 @@ class Candidate:
     def starts_warm(self) -> bool:
         """Return whether the user gave a warm start that fits the mission's problem.
 
-        It fits if the earlier solve had the same variables and equations. The warm start may be
-        part of a plan.
+        It fits if the earlier solve had the same variables and equations. If the user gave a plan,
+        the warm start is that of the plan.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -280,8 +280,11 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        The result is False if the mission is solved already, for a route with corners, a user's own
-        model, and a model without regeneration.
+        The result is False in each of these cases:
+
+        - The mission is solved already.
+        - The mission has waypoints or keep-out zones.
+        - The model is the user's own, or has no regeneration.
         """
         mission = self.mission
         # Without regeneration, braking rotors return no energy. The power then has a kink at zero,
@@ -349,8 +352,8 @@ class Candidate:
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        The easier mission exists if a waypoint has a radius or a speed limit. Its waypoints have
-        neither.
+        The easier mission is the same mission without the radii and speed limits of its waypoints.
+        There is none if no waypoint has a radius or a speed limit.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -398,8 +401,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The solve starts from the last such solution, or from the default guess of the model. The
-        method `speed_up` uses the last solution.
+        The solve starts from the solution that the previous call of this method found, if any.
+        Otherwise it starts from the default guess of the model. The new solution is kept as a
+        starting point for the method `speed_up`.
 
         Returns
         -------
@@ -447,10 +451,10 @@ class Candidate:
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Return whether the mission's solve failed although its duration is long enough.
+        """Return whether the mission's solve failed although a flight of allowed duration is known.
 
-        The greatest allowed duration must be at least the least duration that `find_shortest`
-        found. If it found none, the result is False.
+        The known flight is that of least duration, which the method `find_shortest` finds. If it
+        found no flight, the result is False.
         """
         longest = self.mission.told.mission.longest.value
         found = self.shortest
@@ -489,9 +493,9 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The attribute `failure` and the status of the solution are set. Nothing changes without a
-        diagnosis. Unless `_doubt` finds a reason to believe that the mission is possible, it is
-        infeasible in two cases:
+        The method sets the attribute `failure` and the status of the solution. If there is no
+        diagnosis, it changes nothing. If `_doubt` finds a reason to believe that the mission is
+        possible, the mission is not judged infeasible. Otherwise it is infeasible in two cases:
 
         - Its greatest allowed duration is below the least duration that `find_shortest` found.
         - The elastic problem still violates a limit, and `find_shortest` found no flight within the
@@ -574,8 +578,8 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        The simulated flight must deviate from the plan (see `is_astray`). The result is False at
-        the highest accuracy, `proof`.
+        The result is True if the simulated flight deviates from the plan (see `is_astray`). For the
+        highest accuracy, `proof`, it is always False.
         """
         # Stricter limits cost energy, which the highest accuracy does not allow.
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF

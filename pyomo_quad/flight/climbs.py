@@ -27,8 +27,8 @@ _HIGHER = 0.1
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
     """Return a route raised where its legs are too low over terrain, with additional corners.
 
-    The route is returned unchanged without terrain or floor, and if the raised route would enter a
-    keep-out zone.
+    The route is returned unchanged if there is no terrain or no floor. It is also returned
+    unchanged if the raised route would enter a keep-out zone.
 
     Parameters
     ----------

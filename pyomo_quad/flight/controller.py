@@ -150,8 +150,8 @@ class EulerRates:
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
 
-        `attitude` is in rad, `body_rates` in rad/s. The rates of the angles depend on the changing
-        attitude.
+        They are not zero, because the rates of the three angles depend on the attitude, which
+        changes. `attitude` is in rad, `body_rates` in rad/s.
         """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
@@ -607,8 +607,9 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    It is `baseline.gains.tilt_max` if set. Otherwise, it is the tilt at which the largest commanded
-    thrust just carries the weight, but at least 0.1 rad. The limits on roll and pitch are kept.
+    If `baseline.gains.tilt_max` is set, the result is this value. Otherwise, it is the tilt at
+    which the largest commanded thrust just carries the weight, but at least 0.1 rad. In both cases
+    it is at most the largest tilt that the limits on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -643,16 +644,16 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The planned acceleration itself stays: if it needs more thrust or tilt than this set allows,
-        the limits are raised.
+        The planned acceleration itself is not reduced. If it needs more thrust or tilt than the
+        limits allow, the limits are raised to what it needs.
 
         Parameters
         ----------
         acceleration : sequence of three floats
             Commanded acceleration of the vehicle, zero in hover [m/s^2].
         planned : sequence of three floats, optional
-            Planned acceleration, zero in hover and without a plan [m/s^2]. If it is zero, the
-            result is parallel to the command.
+            Planned acceleration [m/s^2]. It is zero in hover, and if there is no plan. If it is
+            zero, the result is parallel to the command.
 
         Returns
         -------

@@ -1,12 +1,13 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-The cost of a route is its energy plus its duration times the price of time [W]. The mission states
-the price if its duration is free. Otherwise, the cheapest route takes the fixed duration at the
-chosen price.
+The cost of a route is its energy plus the price of time [W] times its duration. If the duration of
+the mission is free, the mission states the price. If the duration is fixed, the price is chosen so
+that the cheapest route takes this duration.
 
-Two searches by Dijkstra's method give the cheapest route through every grid point. The cheapest of
-these is the first corridor. Each further corridor is the cheapest route through points apart from
-the routes found so far. See docs/theory/routes.md, "Corridors through a wind field".
+Dijkstra's method is used twice: from the start and from the goal. The two results together give the
+cheapest route through every grid point. The cheapest of these routes is the first corridor. For
+each further corridor, the grid points near the routes found so far are excluded. See
+docs/theory/routes.md, "Corridors through a wind field".
 """
 
 from collections.abc import Callable

@@ -169,8 +169,8 @@ def propagated(
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances of the states without overflow.
 
-    From the first time at which a standard deviation exceeds `_LOST`, all standard deviations are
-    `_LOST`. Every limit then counts as broken.
+    If a standard deviation exceeds `_LOST` at some time, all standard deviations are set to `_LOST`
+    from this time on. Every limit then counts as broken.
 
     Parameters
     ----------
@@ -287,10 +287,10 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return the derivatives of the joint rates with respect to the uncertain parameters.
+        """Return the derivatives of the joint state's rates by the uncertain parameters.
 
-        The arguments are those of `slopes`. The result has shape (n, n_joint, n_parameters).
-        Central differences give the derivatives per standard deviation of each parameter.
+        They are central differences, per standard deviation of each parameter. The result has shape
+        (n, n_joint, n_parameters). The arguments are those of the method `slopes`.
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)

@@ -1,11 +1,11 @@
 """Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
 Control law, equations of the vehicle and assessment of each flight are those of a single flight.
-The assessment covers the limits of the model and at the waypoints, and the arrival. Only the
-integration differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
-`LONGEST_STEP_S`, the time over which the noise of the turbulence is constant. It is short compared
-with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
-integration.
+The assessment checks three things: the limits of the model, the limits at the waypoints, and the
+arrival at the goal. Only the integration differs: all flights together take Runge-Kutta steps of
+fixed length. A step is at most `LONGEST_STEP_S`, the time over which the noise of the turbulence is
+constant. Stability for the fastest mode of the closed loop, and accuracy at high gains of the
+controller, may require shorter steps. A test compares the result with SciPy's adaptive integration.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -371,8 +371,9 @@ class EnsembleSimulation:
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the times of all integration steps of a flight [s].
 
-    They include the changes of the turbulence's noise, and the arrivals and departures at
-    waypoints. The steps are stable for a mode with the decay rate `fastest_rate` [1/s].
+    They include the times at which the noise of the turbulence changes, and the arrivals and
+    departures at waypoints. The steps are short enough to be stable for a mode with the decay rate
+    `fastest_rate` [1/s].
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

@@ -162,8 +162,8 @@ class Flight(Summarised):
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
         """Return a copy of the flight with an estimate of the energy still needed at its end.
 
-        The attribute `owed_energy_J` of the copy estimates the energy from the final to the
-        required state, to first order, by the costates of a plan.
+        The estimate is the attribute `owed_energy_J` of the copy: the energy needed to get from the
+        final state to the required final state. It is of first order, from the costates of a plan.
 
         Parameters
         ----------
@@ -290,10 +290,10 @@ def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus required value of each state for which a final value is required.
+    """Return the final value minus the required final value of states.
 
-    `state` has shape (n_states,). `wanted` maps names of states to required values; the result maps
-    them to differences.
+    `state` has the final values of all states, shape (n_states,). `wanted` maps names of states to
+    required values. The result maps the same names to the differences.
     """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}

@@ -73,8 +73,9 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    Paths of different speeds are simulated under feedback until a flight is confirmed, at most
-    three. The tolerances are wide: a flight may end half a metre from the goal.
+    Paths that differ in speed or acceleration are simulated under feedback, until a simulation
+    confirms one of them. At most three paths are simulated. The tolerances are wide: a flight may
+    end half a metre from the goal.
 
     Parameters
     ----------
@@ -87,6 +88,7 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
         The plan that was simulated last, with the result of the simulation. The error estimate of
         the plan is the relative difference between its energy and the energy of steady flight along
         the route. The result is None in each of these cases:
+
         - There is no route, or no steady flight along it.
         - No path of an allowed duration keeps the limits.
         - The model is a user's own.
@@ -228,8 +230,8 @@ def _stops(told: Scenario, journey: Journey) -> list[Stop]:
 def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
     """Return the greatest speed of a path along a journey [m/s].
 
-    It is somewhat below the mission's speed limit, or 30 m/s without one. With a free duration, it
-    is at most the speed of least cost along the longest leg.
+    It is somewhat below the mission's speed limit, or 30 m/s if there is no speed limit. If the
+    duration is free, it is at most the speed of least cost along the longest leg.
     """
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
@@ -242,10 +244,10 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 
 
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
-    """Return a plan that follows a path exactly, and a solution with the times of the path.
+    """Return a plan that follows a path exactly, and an unsolved solution with the path's times.
 
-    The plan is not simulated. The solution is the initial point of a solve; the simulation needs
-    its equations of the vehicle.
+    The plan is not simulated yet. The solution is only the initial point of a solve. It holds the
+    equations of the vehicle for the plan's simulation, and is an argument of `verified`.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -276,8 +278,8 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
 def _broken(plan: Plan) -> tuple[Violation, ...]:
     """Return the limits that a planned path violates too much to be worth a simulation.
 
-    The tolerance is 0.1 m for limits of the airspace, such as zones, and the error of interpolation
-    for other limits.
+    A limit of the airspace, such as a zone, may be violated by 0.1 m. Another limit may be violated
+    by the error of interpolation: 1e-3 of the larger of 1 and the limit.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
@@ -294,8 +296,9 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
-    The speed is `fastest` [m/s] or, for a fixed duration, the mean speed. The hovers of the mission
-    count. Implements docs/theory/geometric_plan.md, eq. (7).
+    If the duration is free, the speed is `fastest` [m/s]. Otherwise, it is the mean speed. The
+    result includes the energy of hovering at waypoints. Implements docs/theory/geometric_plan.md,
+    eq. (7).
 
     Raises
     ------
@@ -394,9 +397,10 @@ def _flat(
 
 
 def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> FloatArray:
-    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3), for zero controls.
+    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3).
 
     The columns are along world x, y and z. `times` are in s, and `states` has shape (n, n_states).
+    All controls are taken as zero.
     """
     none = np.zeros(len(dynamics.control_names))
     rows = zip(times.tolist(), states, strict=True)

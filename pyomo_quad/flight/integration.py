@@ -96,8 +96,8 @@ def integrate(
 def _within(rates: Rates, first: float, last: float) -> Rates:
     """Return a right-hand side that clips its time to the inside of an interval.
 
-    `rates` may jump at the ends `first` and `last` [s] of the interval. An integrator sees no jump
-    of the result.
+    `rates` may jump at `first` and `last` [s], the ends of the interval. The result has no jump
+    there, so that an integrator need not shorten its steps.
     """
     margin = _INSIDE * (last - first)
 

@@ -83,8 +83,8 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
 def excess(breach: Violation, unit: str) -> tuple[float, str]:
     """Return the violation of a limit, in the unit printed in reports, and this unit.
 
-    `unit` is that of the model. The limit 9 m**2/s**2 violated by 7 m**2/s**2, for example, gives
-    an excess of 4 - 3 = 1 m/s.
+    `unit` is the unit in the model. For example, a squared speed of 16 m**2/s**2 violates the limit
+    9 m**2/s**2. The result is sqrt(16) - sqrt(9) = 1 m/s.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)

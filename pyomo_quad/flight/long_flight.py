@@ -152,10 +152,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb rate of an initial guess, changed so that it clears the terrain.
+    """Return height and climb rate of an initial guess that is raised above the terrain.
 
-    `guess` maps state names to samples at the times `when` [s]. The result is empty without terrain
-    or floor.
+    `guess` maps state names to samples at the times `when` [s]. If the airspace has no terrain or
+    no floor (least height above the ground), the result is empty.
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:

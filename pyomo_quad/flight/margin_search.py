@@ -193,9 +193,10 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight breaks a limit without margin, at the goal or at a waypoint.
+        """Probability that, at the goal or at a waypoint, a flight breaks a limit without margin.
 
-        It is a sum over all such limits. An example is the limit on the distance from the goal.
+        Such limits are those that no margin can tighten, such as the distance from the goal. The
+        value is the sum of their probabilities.
         """
         # Every plan already reaches the goal exactly, so that no margin tightens these limits. A
         # plan that leaves the rotors a larger reserve of thrust breaks them less often.
@@ -286,8 +287,8 @@ class MarginSearch:
     def is_beyond_the_controller(self) -> bool:
         """Return whether the controller is too weak for the allowed risk, whatever the margins.
 
-        It is too weak if gusts carry at least this fraction of simulated vehicles off a hover at
-        the goal.
+        The criterion is a simulation of vehicles that hover at the goal in gusts. The controller is
+        too weak if the fraction that the gusts carry away is at least the allowed risk.
         """
         # Hovers are simulated only if flights along the plan without margins are predicted to miss
         # the goal. Such flights are expected to miss it at least as often as hovering vehicles.
@@ -495,8 +496,8 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        Candidates are `tried` and plans with a reserve. If `_is_followed` accepts none, the result
-        is the candidate least likely to miss the goal.
+        If `tried` does not, plans with larger reserves of thrust and tilt are solved. If
+        `_is_followed` accepts no plan, the result is the plan least likely to miss the goal.
         """
         if self._is_followed(tried):
             return tried
@@ -592,8 +593,9 @@ class MarginSearch:
     def _settled(self, tried: _Tried) -> _Tried:
         """Solve with new margins repeatedly, until the margins agree with the allowed risk.
 
-        The fixed-point iteration starts from the plan `tried`. The result is the last plan that was
-        not rejected.
+        The fixed-point iteration starts from the plan `tried`. It ends early if a solve fails, or
+        if flights along a new plan would miss the goal too often. The result is then the plan
+        before.
         """
         for _ in range(_PLANS):
             # A plan with other margins has another covariance, and so requires other margins.
@@ -665,8 +667,8 @@ class MarginSearch:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        Without `is_whole`, the test ends early if its first flights break limits more often than
-        all flights may.
+        `seed` is for the random winds and parameters. If `is_whole` is False, only a few flights
+        are simulated at first. If too many of these fail for the plan to pass, the test ends.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)

@@ -237,7 +237,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights that follow a plan must pass the waypoints.
 
-    A flight must hover only from the mission's own time on, even if its plan hovers earlier.
+    With a margin on a hover, the plan arrives earlier than the mission requires. Flights along the
+    plan need not: they must hover only from the time on that the mission requires.
 
     Parameters
     ----------
@@ -246,7 +247,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
     planned : sequence of float
         Time at which the plan reaches each waypoint [s].
     lead : float
-        Time by which the plan begins hovers earlier than required [s].
+        Margin on hovers: the plan begins each hover this much earlier than required [s].
 
     Returns
     -------

@@ -126,10 +126,10 @@ class MissionProblem:
 
     @property
     def allowance(self) -> Allowance:
-        """Tolerances of the mesh refinement on errors that occur between collocation points.
+        """Tolerances of the mesh refinement on errors between the collocation points.
 
-        Such errors are violations of limits and errors of the states. The tolerances are tight at
-        accuracy `proof` and for a user's own model.
+        Such errors are violations of limits and errors of the states. The tolerances are tight if
+        the requested accuracy is `proof`, or if the model is a user's own.
         """
         figures = FIGURES[self.told.solver.accuracy]
         # With wide tolerances, a coarse mesh suffices. `flight.tracking` then corrects the controls
@@ -150,8 +150,8 @@ class MissionProblem:
     def stricter_refinement(self, share: float) -> RefinementOptions:
         """Return the options of the mesh refinement with two of its tolerances reduced.
 
-        They limit errors of the states and violations of limits; `share` multiplies both. Without a
-        tolerance on the states, the options are unchanged.
+        The tolerances on errors of the states and on violations of limits are multiplied by
+        `share`. If the options have no tolerance on the states, they are returned unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -190,8 +190,8 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        They smooth the kink of the power at zero most widely. ``chosen`` replaces arguments of the
-        property `arguments`.
+        These values give the widest smoothing of the power. ``chosen`` has arguments of the solve
+        that replace those of the property `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
@@ -281,8 +281,8 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        It represents a mission that was not solved, or an interrupted solve. ``chosen`` replaces
-        arguments of the property `arguments`.
+        It represents a mission that was not solved, or an interrupted solve. ``chosen`` has
+        arguments of the solve that replace those of the property `arguments`.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
@@ -315,9 +315,10 @@ class MissionProblem:
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """Problem of an easier mission, whose flights pass exactly through the waypoints.
+        """Problem of an easier mission: through the centres of the waypoints, at any speed.
 
-        None if the waypoints of this mission have no radius and no speed limit.
+        The value is None if no waypoint of this mission has a radius or a speed limit: the easier
+        mission would be the same.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
@@ -377,8 +378,8 @@ class MissionProblem:
     def keep_usable(self, finished: Solution) -> None:
         """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
 
-        Simulation confirms a usable plan at lower accuracy than requested. It is the result of a
-        solve that is stopped.
+        A plan is usable if simulation confirms it at lower accuracy than requested. If the search
+        is stopped, it returns the best usable plan.
         """
         search = self.search
         if search is None:

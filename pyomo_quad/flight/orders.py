@@ -76,7 +76,8 @@ class OrderSearch:
     def line(self) -> str:
         """Summary of the search for the order of the waypoints, in one line.
 
-        It states `gap` and the number of legs solved (flights from one place to the next).
+        It states `gap`, the relative distance from the lower bound, and how many legs were solved.
+        A leg is the flight from one place to the next.
         """
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
@@ -262,7 +263,8 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 def nearest_first(costs: FloatArray) -> IntArray:
     """Return the greedy order of places: the next place is always the cheapest one to reach.
 
-    `costs` is the table of leg costs or lengths. The result has row numbers of the table, from 1.
+    `costs` is the table of leg costs or lengths. The result has the row numbers of the places
+    between start and goal. Row 0 of the table is the start.
     """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:

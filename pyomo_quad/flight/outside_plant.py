@@ -11,9 +11,10 @@ drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx
 quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
 linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
-RotorPy's rotors have no inertia, so that two moments are added. Energy is the integral of the
-declared power at RotorPy's rotor speeds. `Habits` switches on features of RotorPy's own simulation
-that differ from the declared equations.
+RotorPy neglects the inertia of the rotors. Two moments on the body are therefore added to RotorPy's
+equations: the gyroscopic moment of spinning rotors, and the yaw moment of accelerating rotors.
+Energy is the integral of the declared power at RotorPy's rotor speeds. `Habits` switches on
+features of RotorPy's own simulation that differ from the declared equations.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -454,7 +455,8 @@ class OutsidePlant:
     ) -> Callable[[float, FloatArray], FloatArray]:
         """Return the right-hand side of the closed loop for one period in which the law is smooth.
 
-        The period ends at `last` [s], and `inside` [s] is just after its start. The returned
+        The law may jump at the start of the period. Earlier times than `inside` [s], just after the
+        start, are therefore replaced by `inside`. The period ends at `last` [s]. The returned
         function raises a SolveError if the vehicle tumbles.
         """
         guard = TumblingGuard("RotorPy", last - inside)

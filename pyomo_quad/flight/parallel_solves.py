@@ -97,8 +97,9 @@ def solve_side_by_side(
 class _Sent(NamedTuple):
     """Result of a solve in a forked copy of this process, as the copy sends it back.
 
-    `usable` is the best usable plan that the copy made; None if it made no better one. `work` is
-    the number of mesh points, summed over the iterations of Ipopt.
+    `usable` is the best usable plan that the copy made. It is None if the copy made none that is
+    better than the plan known before. `work` is the number of mesh points, summed over the
+    iterations of Ipopt.
     """
 
     solution: Solution
@@ -111,9 +112,10 @@ _SHARED: list[object] = []
 
 
 def _reduced(sent: object) -> Any:
-    """Reduce an object for `pickle`, in a forked copy that sends a solution to this process.
+    """Return how `pickle` encodes an object that a forked copy sends to this process.
 
-    The result is a function and its arguments, as the module `pickle` defines it.
+    If both processes have the object (list `_SHARED`), only its index is sent. The result is a
+    function that restores the object, and its arguments, as `pickle` defines it.
     """
     # Both processes have the objects of this list, so that only their index is sent.
     for place, shared in enumerate(_SHARED):

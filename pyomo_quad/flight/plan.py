@@ -548,8 +548,8 @@ class Plan(Summarised):
     def risk_words(self) -> str:
         """Sentence on the risk of the plan and the energy that its margins cost.
 
-        The risk is the probability that a flight in turbulence breaks a limit. Without margins, the
-        sentence is a warning that gusts or a wrong wind forecast would break the limits.
+        The risk is the probability that a flight in turbulence breaks a limit. If the plan has no
+        margins, the sentence warns that gusts or a wrong wind forecast would break the limits.
         """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
@@ -786,8 +786,8 @@ class Plan(Summarised):
     def times(self, rate_hz: float | None = None) -> FloatArray:
         """Return the times [s] of the rows in the table of the plan, which `to_frame` returns.
 
-        They are the times of the mesh nodes. With a rate ``rate_hz`` [Hz], they are equally spaced
-        from start to end.
+        By default they are the times of the mesh nodes. If a rate ``rate_hz`` [Hz] is given, the
+        times are equally spaced from start to end.
 
         Raises
         ------

@@ -42,8 +42,8 @@ class Planner(Problems):
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context manager for a series of solves that the user may stop together.
 
-        It gives a function that returns whether the user has stopped a solve. Here the function
-        returns False; in the planner of the command line, whether Ctrl-C was pressed.
+        Its ``as`` variable is a function that returns whether the user has stopped the series. Here
+        the function always returns False. A subclass for the command line asks for Ctrl-C.
         """
         return nullcontext(lambda: False)
 
@@ -112,8 +112,9 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        The result is the verified plan of the shortest duration, or the longest plan if none is
-        verified. `start` is used only if the minimum-time problem fails.
+        Plans are made for durations that decrease towards the least duration. The result is the
+        last verified plan, or the first plan if none is verified. If the minimum-time problem
+        fails, the mission is solved from `start` instead, with status "not converged".
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

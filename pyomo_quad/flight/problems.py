@@ -31,10 +31,10 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key; scenarios with equal keys have problems with the same initial states.
+    """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    The key is for scenarios of fixed duration. Duration, wind and settings of baseline flights are
-    left out.
+    It is the scenario without duration, wind and settings of baseline flights. The key may be used
+    only for scenarios of fixed duration.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -140,8 +140,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        Their limits are those of simulated flights, which may use the controller's reserve of rotor
-        speed and thrust.
+        The limits of the equations are wider than those of plans. A plan leaves the controller a
+        reserve of rotor speed and thrust, which a simulated flight may use.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):
@@ -153,8 +153,8 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        If so, its equations can be used to simulate `scenario`. Without a cached problem, the
-        result is False.
+        If so, the equations of the cached problem can be used to simulate `scenario`. If no problem
+        is cached for it, the result is False.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         # A wind measured over time is sampled at fixed fractions of the duration, so that the

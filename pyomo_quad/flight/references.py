@@ -40,7 +40,8 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    Only a plan expects an acceleration from the air, and only a plan defines the attitude.
+    If the reference path is a plan, the acceleration excludes the part that the air is expected to
+    cause, and `tilting` is given. Other reference paths ignore the air and the attitude.
     """
 
     place: Sequence[float]
@@ -153,8 +154,8 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    The path begins at the first waypoint. It jumps when the vehicle is to leave a waypoint: at its
-    prescribed time plus the duration of the hover.
+    The path begins at the first waypoint. It jumps when the vehicle is to leave a waypoint: at the
+    waypoint's prescribed time plus the duration of its hover.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -198,7 +199,8 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 def step(mission: Mission) -> ReferencePath:
     """Return the reference path that jumps to each waypoint of a mission in turn and to the goal.
 
-    The path jumps when the vehicle is to leave a waypoint. Without waypoints, it is at the goal.
+    The path jumps when the vehicle is to leave a waypoint. If the mission has no waypoints, the
+    path stays at the goal from the start.
     """
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 

@@ -1,9 +1,9 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
 At constant intervals during a simulated flight, the optimal control problem of the rest of the
-mission is solved again. The solution is a new plan, called a re-plan. It begins when its solve is
-to be finished. A controller with adaptation follows the newest plan, at first the plan made before
-take-off. If a solve fails, it follows its previous plan.
+mission is solved again. The solution is a new plan, called a re-plan. It begins at the time at
+which its solve is expected to end. A controller with adaptation follows the newest plan, at first
+the plan made before take-off. If a solve fails, the controller keeps following the previous plan.
 
 The limits of a re-plan are soft, so that a solution exists from every state from which rotors and
 battery can reach the goal. See docs/theory/soft_limits.md.
@@ -80,8 +80,8 @@ def replanned_name(knowledge: Knowledge) -> str:
 class _Leg:
     """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
 
-    `course` has the plan, its reference path and its assumptions on mass and wind. The components
-    of `learnt` are along the world axes.
+    `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is an
+    estimated acceleration along the world axes.
     """
 
     course: Course
@@ -126,8 +126,8 @@ class _Observer:
     def belief(self, flown: Flown) -> Belief:
         """Return a mass and a horizontal acceleration by the air, for the next plan.
 
-        Both follow from the estimate and from the thrust at the end of `flown`, the last simulated
-        part of the flight. See docs/theory/soft_limits.md, eq. (4).
+        Both follow from `estimate` and from the thrust at the end of `flown`. This is the last
+        simulated part of the flight. See docs/theory/soft_limits.md, eq. (4).
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]

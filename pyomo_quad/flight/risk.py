@@ -27,8 +27,9 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    If the scenario states none, it is 1 (any risk) for a fixed duration or the attitude equations
-    of the paper, and `_USUAL_RISK` otherwise.
+    If the scenario states no risk and its duration is free, the result is `_USUAL_RISK`. If the
+    duration is fixed, it is 1 (any risk). It is also 1 for the simplified attitude equations of
+    Yacef et al.
     """
     stated = scenario.mission.risk
     if stated is not None:

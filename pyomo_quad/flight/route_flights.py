@@ -233,9 +233,10 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys to solve again on a finer mesh: `most` or 1.
+        """Return the largest number of journeys to solve again on a finer mesh.
 
-        `error` is the relative error of the energies on the present mesh.
+        `error` is the relative error of the energies on the present mesh. If it is within the
+        energy tolerance of the mission, the result is 1, otherwise `most`.
         """
         # With an error above the energy tolerance, journeys of similar energy cannot be ranked yet.
         # Otherwise the cheapest journey is already known to within the tolerance.
@@ -244,8 +245,8 @@ class RouteFlights:
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        `known` maps numbers of journeys to coarse solutions. `near` has the best of them. Others
-        are refined only if the refinement fails for all of these.
+        `known` maps numbers of journeys to coarse solutions. `near` has the numbers of the best
+        ones. If all their refinements fail, the other solutions are refined in order of cost.
         """
         solves = [partial(self.refine, known[k], None) for k in near]
         refined = dict(zip(near, solve_side_by_side(self._mission, solves), strict=True))
@@ -277,8 +278,8 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
-        The shortest journey comes first. In a wind field with `most` = None, it comes last, after
-        the journeys of least energy.
+        As a rule, the shortest journey comes first. If the wind is a field and `most` is None, it
+        comes last, after the cheapest journeys through the field.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
@@ -319,8 +320,8 @@ class RouteFlights:
     def _fly_first(self, journey: Journey, *, is_alone: bool) -> Solution:
         """Return the solution along the first of several journeys.
 
-        A journey that may have several optima is solved from `smooth_guess`. If it `is_alone`, it
-        is also solved from constant speed along its lines.
+        If the journey may have several optima, it is solved from `smooth_guess`. If it `is_alone`
+        (the only journey), it is also solved from a flight at constant speed along its lines.
         """
         if self._known is not None:
             return self._known
@@ -386,16 +387,17 @@ class RouteFlights:
         return self.fly(journey)
 
     def _improve(self, known: dict[int, Solution], journey: Journey) -> None:
-        """Replace the best solution by a better local optimum, if there is one (see `_faster`).
+        """Replace the best solution by a better local optimum, if solves from new guesses find one.
 
-        See docs/theory/routes.md.
+        One guess is a faster flight along the best solution. If its solve saves energy, `journey`
+        is solved anew, and `_faster` improves both results. See docs/theory/routes.md.
 
         Parameters
         ----------
         known : dict
             Number of a journey -> its solution. The dict is changed in place.
         journey : tuple of Route
-            The first of the journeys.
+            The first of the journeys, whose lines are the second guess.
         """
         first, options = _cheapest(known)[0], self._rough_options()
         if known[first].status.has_failed:
@@ -408,10 +410,10 @@ class RouteFlights:
         known[first] = min(self._faster(found), self._faster(others), key=_cost)
 
     def _faster(self, flown: Solution) -> Solution:
-        """Solve again from faster flights along a solution, until the cost falls no more.
+        """Solve again from faster flights along the best solution, until the cost falls no more.
 
-        `flown` is the best solution so far. The result is a solution on the same mesh that costs no
-        more. See docs/theory/routes.md.
+        Each initial guess is the path of the best solution so far, flown in a shorter time. `flown`
+        is the first of these solutions. The result costs no more. See docs/theory/routes.md.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):

@@ -149,8 +149,8 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of the keep-out zones that block every route between two places.
 
-    They are all zones whose single removal can open a route. If there are none, they are a minimal
-    set of zones that block every route.
+    If the removal of one zone alone can open a route, the result has all such zones. Otherwise it
+    has a minimal set of zones that together block every route.
     """
     zones = airspace.keep_out
 

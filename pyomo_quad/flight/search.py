@@ -138,9 +138,9 @@ class Search:
 
     @property
     def is_early(self) -> bool:
-        """Whether the search is in its first two seconds or so, too early for usable plans.
+        """Whether the search has run for less than about two seconds, too short for usable plans.
 
-        Callers use the property only at the highest accuracy, `proof`.
+        Callers use the property only if the requested accuracy is the highest, `proof`.
         """
         # A usable plan is needed only if the search is stopped. Making one takes time, and most
         # searches end soon and by themselves.
@@ -155,9 +155,10 @@ class Search:
         self._make_first = make_first
 
     def begin_apart(self, spent_s: float) -> None:
-        """Prepare the copy of this object in a forked process for its part of the solves.
+        """Prepare this object for solves in a forked process, where it is a copy.
 
-        `spent_s` is the processor time of the search before the fork [s].
+        The copy shows no progress and makes no first plan. `spent_s` is the processor time of the
+        search before the fork [s].
         """
         self._make_first = self._show = None
         # The clock of a forked process starts at zero.
@@ -188,7 +189,8 @@ class Search:
     def restart_patience(self) -> None:
         """Make the property `is_early` true again for about two seconds of solves.
 
-        The caller has chosen the order of the waypoints, and next solves the whole mission.
+        It is called when the order of the waypoints has been chosen, before the whole mission is
+        solved.
         """
         self._patient_from = self.work
 
@@ -276,8 +278,8 @@ class Search:
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
-        Better means less uncertainty of the energy if both plans come from solutions, and less cost
-        otherwise.
+        If both plans come from solutions of the optimal control problem, the better plan has the
+        smaller uncertainty of the energy. Otherwise it has the lower cost.
         """
         found, kept = as_usable(plan), self.usable
         if not found.is_flyable:
@@ -291,10 +293,10 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the result of the search: its last plan or, if that fails, the best usable plan.
+        """Return the result of the search: its last plan or, if that failed, the best usable plan.
 
-        A flyable plan has not failed, nor has a plan of status infeasible. Without a usable plan,
-        the last plan is returned.
+        `plan` is the last plan. It failed if it is not flyable, unless its status is "infeasible".
+        If there is no usable plan, the result is `plan` in any case.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -316,10 +318,10 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return the last plan with status "not converged" if the search ran out of time.
+        """Return the last plan, marked as "not converged" if the search ran out of time.
 
-        Its message states how far the search came. A flyable plan, or one of an infeasible mission,
-        is returned unchanged.
+        The message of a marked plan states how far the search came. If `plan` is flyable or its
+        mission infeasible, it is returned unchanged.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
@@ -338,10 +340,10 @@ def _is_optimised(plan: Plan | None) -> bool:
 
 
 def as_usable(plan: Plan) -> Plan:
-    """Return a plan as usable if simulation confirms it at lower accuracy than requested.
+    """Return a plan, marked as usable if simulation confirms it at lower accuracy than requested.
 
     The simulated flight must be within `scenario.accuracy.USABLE`, and `Plan.energy_uncertainty`
-    must be finite. Otherwise the plan is returned unchanged.
+    must be finite. A plan that is flyable already, or infeasible, is returned unchanged.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan

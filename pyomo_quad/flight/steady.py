@@ -84,8 +84,8 @@ class Trim:
 class HoverState:
     """Hover in still air with the battery in its initial state: rotor speed, power and battery.
 
-    Current, voltage and charge drawn per second are those under the power of the hover.
-    `greatest_battery_power_W` is the greatest power that the battery can give.
+    Battery current, voltage and charge rate are the values while the battery gives the power of the
+    hover. `greatest_battery_power_W` is the greatest power that it can give.
     """
 
     rotor_speed_rad_per_s: float
@@ -237,9 +237,10 @@ class SteadyFlight:
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states that are constant in a steady flight, apart from the velocity.
+        """Return the constant states of a steady flight, such as attitude and rotor speeds.
 
-        The result maps full names to values. It has the induced velocity, too, if the model has it.
+        The result maps full names to values. The velocity is left out. If the model has an induced
+        velocity, it is included.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
@@ -527,8 +528,8 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    The required thrust is mass * (a - a_0), whatever the attitude. Here a is the acceleration of
-    the motion. With the rotors stopped, weight and air cause the acceleration a_0. For drag that is
+    Whatever the attitude, the required thrust is mass * (a - a_0). Here a is the acceleration of
+    the motion, and a_0 the acceleration by weight and air alone (rotors stopped). For drag that is
     linear in the velocity, see docs/theory/bound.md, eq. (1).
 
     Parameters

@@ -126,7 +126,7 @@ def within_limits(
 
         - All limits are satisfied at an acceptable cost.
         - A solve fails.
-        - A flight with less strict limits breaks limits again.
+        - The limits were made less strict to save energy, and the flight breaks limits again.
         - The violation of a limit is too large, or no parameter sets the limit.
         - The state at the start or at the goal is outside a stricter limit.
     """
@@ -189,7 +189,8 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    `margins` and `cuts` map parameters that set limits to amounts. Implements
+    `cuts` and `margins` map parameters that set limits to amounts. The flight of `relaxed` breaks
+    the limits by `cuts`; the limits of `strict` are stricter by `margins`. Implements
     docs/theory/tracking.md, eq. (10).
     """
     low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
@@ -263,7 +264,8 @@ def _by_parameter(
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Return parameter values with changes added, for a solve with stricter limits.
 
-    `changes` maps some of the full names in `numbers` to amounts to add. Large changes are clipped.
+    `changes` maps some of the full names in `numbers` to amounts to add. Large decreases are
+    clipped. Start and goal stay between floor and ceiling.
     """
     found = dict(numbers)
     for name, change in changes.items():

@@ -281,8 +281,8 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    They are legs to the nearest places, those of the shortest order, and legs of many lengths.
-    `lengths` [m] is infinite without a route.
+    They are legs from each place to its nearest places, those of the shortest order, and legs of
+    many lengths. `lengths` [m] is infinite for a leg without a route.
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)

@@ -135,12 +135,12 @@ def verified(
     accuracy : Accuracy, optional
         The required accuracy; by default the scenario's accuracy.
     least_energy : float, optional
-        Least energy of the mission [J], with which the plan's energy is compared; by default the
-        energy of `plan`. The argument is needed if the solution has stricter limits than the
-        mission: its energy is then larger than the least energy of the mission.
+        Least energy of the mission [J], with which the energy of the corrected plan is compared;
+        by default the energy of `plan`. Give it if the solution has stricter limits than the
+        mission, because the energy of `plan` then exceeds the least energy of the mission.
     is_rough : bool, optional
-        Whether a usable plan is enough: a plan that the simulation confirms at a lower accuracy
-        than the required one.
+        Whether a usable plan is enough. A plan is usable if the simulation confirms it at a lower
+        accuracy than the required one.
 
     Returns
     -------
@@ -207,11 +207,11 @@ def _corrected(
     Plan
         Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
     Verification
-        Comparison of a flight with limits and final states. Usually, the flight is a simulation of
-        the corrected controls without feedback. If every flight under feedback exceeds even the
-        tolerances of a usable plan, the last flight under feedback is compared instead.
+        Comparison of the returned flight with limits and final states.
     Flown
-        Samples of the flight that was compared.
+        Samples of a flight: a simulation of the corrected controls without feedback. If every
+        flight under feedback exceeds even the tolerances of a usable plan, it is the last of these
+        flights.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -278,8 +278,8 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
     """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
 
-    States that measure consumption, such as the charge drawn, have the values of `plan`. All other
-    states have the values of `wanted`.
+    The result is a copy of `wanted`, the final states of the solution. Only the states that measure
+    consumption, such as the charge drawn, have their final values in `plan`.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])
@@ -357,11 +357,11 @@ def _followed(
     demands: Demands,
     previous: Trajectories | None,
 ) -> Plan:
-    """Return a plan with controls corrected by feedback, so that the vehicle keeps to its path.
+    """Return a plan whose controls are corrected by feedback, so that they keep to the path.
 
     States, controls and energy are those of a simulated flight under feedback. The error estimate
-    is max(e, |E - E_least| / E_least), with the estimate e of `plan` and the energy E of the
-    flight; see docs/theory/tracking.md, eq. (5).
+    is max(e, abs(E - E_least) / E_least). Here e is the estimate of `plan`, E the energy of the
+    flight, and E_least is `least_energy`. See docs/theory/tracking.md, eq. (5).
 
     Parameters
     ----------

@@ -148,8 +148,8 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    A parameter may jump at the start of the element, for example when a payload is released. Before
-    the time `inside`, the equations have the parameter values at `inside`.
+    A parameter may jump at the start of the element, for example when a payload is released. To use
+    the value after the jump, the equations have the parameter values at `inside` before that time.
 
     Parameters
     ----------
@@ -273,8 +273,9 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    The result is negative if the battery always supplies more than needed. It is 0 for a model
-    without motor or battery voltage. `flown` has the samples of the flight.
+    The fraction is (needed - supplied) / needed, for the motor that needs most. It is negative if
+    the battery always supplies more than needed, and 0 if the model has no motor voltage or no
+    battery voltage. `flown` has the samples of the flight.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -377,14 +378,14 @@ def samples_of_path(
 ) -> list[FloatArray]:
     """Return where to sample a simulated flight in each mesh element, to check limits on position.
 
-    Samples are dense where the path between two nodes may reach a zone or a height limit over
-    terrain: at most `spacing` [m], or a small fraction of a terrain grid step, apart.
+    All elements have equally spaced samples. If the path between two nodes may reach a zone,
+    samples at most `spacing` [m] apart are added. If it may reach a height limit over terrain, the
+    added samples are at most a small fraction of a grid step apart.
 
     Parameters
     ----------
     dynamics : Dynamics
-        Equations of the plan. Samples are equally spaced if their states do not include the
-        position.
+        Equations of the plan. If the position is not among the states, no samples are added.
     mesh : Mesh
         Mesh of the plan.
     states : ndarray, shape (n_points + 1, n_states)

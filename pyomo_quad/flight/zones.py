@@ -3,8 +3,8 @@
 A leg is the line between two waypoints. The side on which a route passes a zone is determined where
 the route crosses a vertical plane across the leg. If the leg enters the zone, the plane goes
 through the middle of the part of the leg inside the zone. If the leg stays outside, the plane goes
-through the point of the leg nearest to the zone. A plane through the centre of the zone may lie
-before the start of the leg or beyond its goal, and not separate them.
+through the point of the leg nearest to the zone. A plane through the centre of the zone would not
+do: it may lie before the start of the leg or beyond its goal, so that a route need not cross it.
 """
 
 from collections.abc import Sequence
@@ -154,8 +154,8 @@ def sides_passed(
 ) -> NDArray[np.intp]:
     """Return the side on which each of n straight lines passes a keep-out zone.
 
-    The side is determined where a line crosses the vertical plane across the leg that the docstring
-    of this module defines. Here, the zone is enlarged by its clearance.
+    The side is determined where a line crosses the vertical plane across the leg. The docstring of
+    this module defines the plane; its "zone" is the zone enlarged by `clearance`.
 
     Parameters
     ----------
@@ -209,7 +209,7 @@ class _Section(NamedTuple):
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
     """Return the cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    The docstring of this module defines the plane. Here, the zone is enlarged by its clearance.
+    The docstring of this module defines the plane; its "zone" is the zone enlarged by `clearance`.
 
     Parameters
     ----------
@@ -241,8 +241,8 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
     """Return the place at which a leg passes a keep-out zone, and the clearance used [m].
 
     The place is a fraction of the leg `ends`, shape (2, 3) [m]: the middle of the part that is
-    closer to the zone than `clearance` [m]. Without such a part, it is the point nearest to the
-    zone, and the clearance used is larger.
+    closer to the zone than `clearance` [m]. If there is no such part, the place is the point
+    nearest to the zone, and the clearance is raised until the enlarged zone reaches this point.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -277,8 +277,9 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg, to its left and up, each of shape (3,).
 
-    The first vector is the horizontal direction of the leg; for a vertical leg, it points up.
-    `ends` has start and end of the leg, shape (2, 3) [m].
+    The first vector is the horizontal direction of the leg. If the leg is vertical, the first
+    vector points up, and the other two are horizontal. `ends` has start and end of the leg, shape
+    (2, 3) [m].
     """
     upward = np.array([0.0, 0.0, 1.0])
     # Horizontal, so that a route beside a tall zone passes it on the left or right, even if the leg

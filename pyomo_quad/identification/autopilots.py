@@ -244,7 +244,8 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
     """Return the rows of an ArduPilot message table that the first sensor or filter has written.
 
-    The first sensor or instance of the Kalman filter is the one with the least number.
+    Several sensors, or several instances of the Kalman filter, may write the same kind of message.
+    The first is the one with the least number.
 
     Parameters
     ----------
@@ -300,8 +301,8 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
     """Return whether the vehicle flies at each time, by the land detector of an ArduPilot log.
 
-    `times` are in microseconds, as in the log's table `events`. Without events of the land
-    detector, the result is True.
+    `times` are in microseconds, as in the log's table `events`. If the land detector has logged no
+    events, the result is True at all times.
     """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)

@@ -2,9 +2,10 @@
 
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-A residual is the mean measured power minus the mean computed power in a time window of some
-seconds. Noise dominates airspeed and acceleration in a single row of a log, which is one second
-long. Large residuals, from gusts or ground effect, count linearly instead of quadratically.
+A residual is the mean computed power minus the mean measured power in a time window of some
+seconds. A single row of the log (one second) would not do, because noise dominates its airspeed and
+acceleration. Large residuals, as from gusts or ground effect, count linearly instead of
+quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -489,9 +490,10 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude of each parameter that the function `undetermined` assumes.
+    """Return the least magnitude of each parameter for the test of the function `undetermined`.
 
-    The result has shape (n,) and the units of the parameters.
+    The test changes a parameter p by a fraction of max(abs(p), least magnitude), so that it changes
+    p = 0, too. The result has shape (n,) and the units of the parameters.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 

@@ -49,8 +49,8 @@ _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
     """Make a scenario for the identification of a vehicle: a short mission in calm air.
 
-    The mission has no effect on the identification. In calm air, velocity over ground and velocity
-    through the air are equal in the model.
+    The mission has no effect on the identification. The air is calm, so that the model's velocity
+    over ground can be set to the logged velocity through the air.
 
     Parameters
     ----------

@@ -591,8 +591,8 @@ def with_circuit(scenario: Scenario) -> Scenario:
 def _as_given(scenario: Scenario) -> list[float]:
     """Return the initial values of the fitted battery fields, in the order of `FITTED`.
 
-    Positive default numbers take the place of a missing relaxation and a missing activation energy.
-    The values are not yet logarithms.
+    If the battery has no relaxation or no activation energy, positive numbers take its place,
+    because the fit uses logarithms. The result itself is not logarithmic.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

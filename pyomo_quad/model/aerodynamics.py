@@ -12,9 +12,9 @@ the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are 
 `drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. `drag` is the
 default for a vehicle that has any drag coefficient.
 
-The second part consists of forces along the body axes, with both laws. They depend on the airspeed
-v in body axes and on the rotor speed omega. A force is declared only if its coefficient is not
-zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
+The second part consists of forces along the body axes, whichever law the first part follows. They
+depend on the airspeed v in body axes and on the rotor speed omega. A force is declared only if its
+coefficient is not zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -92,9 +92,9 @@ def acts_in_body_axes(scenario: Scenario) -> bool:
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
 
-    The expressions `force_x`, `force_y` and `force_z` over time are along the world axes [N]. With
-    forces at each rotor, `roll_moment`, `pitch_moment` and `yaw_moment` are about the body axes [N
-    m].
+    The expressions `force_x`, `force_y` and `force_z` over time are along the world axes [N]. If
+    the vehicle has rotor drag or translational lift, the moments `roll_moment`, `pitch_moment` and
+    `yaw_moment` about the body axes [N m] are declared, too.
 
     Parameters
     ----------
@@ -131,9 +131,10 @@ _ACCELERATION = units.m / units.s**2
 def declare_unexplained(m: ConcreteModel) -> None:
     """Add a constant horizontal acceleration to the equations of motion, as a correction.
 
-    The mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2], is the observed minus
-    the modelled acceleration. The function replaces the horizontal forces. Call it before declaring
-    any component that refers to them.
+    The mutable parameter `aerodynamics.unexplained` has a value for each of the axes x and y: the
+    observed minus the modelled acceleration [m/s^2]. The expressions `force_x` and `force_y` are
+    replaced by others that include it. Call this function before declaring any component that
+    refers to them.
 
     Parameters
     ----------
@@ -171,10 +172,11 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return Pyomo rule and documentation text of each wind force of eq. (9), by name.
+    """Return Pyomo rule and documentation text of the wind force of eq. (9), for each world axis.
 
-    The force is the mass times c w [N], with the wind velocity w and a coefficient c [1/s].
-    `updraft` is the vertical wind over time, or None for a horizontal wind.
+    The keys are "force_x", "force_y" and "force_z". The force is the mass times c w [N], with the
+    wind velocity w and a coefficient c [1/s]. `updraft` is the vertical wind over time; if it is
+    None, the vertical force is zero.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:

@@ -2,8 +2,8 @@
 
 A keep-out zone is a region that flights must avoid. A zone is the intersection of one or more
 balls. A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its
-centre. Its distance is measured in one coordinate (an interval), in two (a disk) or in three (a
-sphere).
+centre. If the distance from the centre is measured in one coordinate, the ball is an interval; in
+two, it is a disk; in three, a sphere.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -104,7 +104,7 @@ def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
 
 
 def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
-    """Return the edges of the wind field that a flight may not leave, by name.
+    """Return the edges of the wind field that flights must not cross, by name.
 
     The result is empty if the scenario has no wind field, or if flights may leave the wind field
     (`wind.beyond` is "hold").
@@ -117,9 +117,9 @@ def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     Returns
     -------
     dict
-        Axis (0 for x, 1 for y, 2 for z), side (-1 for the lower end, 1 for the upper) and
-        coordinate on the axis [m] of each edge. The names are "west", "east", "south" and "north",
-        and for a field over heights also "bottom" and "top".
+        For each edge, its axis (0 for x, 1 for y, 2 for z), its side (-1 for the lower end of the
+        axis, 1 for the upper) and its coordinate on the axis [m]. The names are "west", "east",
+        "south" and "north". If the field varies with height, also "bottom" and "top".
 
     Examples
     --------
@@ -151,8 +151,8 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
-    An interval across an edge of a polygon has the axes x and y. Its centre is then the point of
-    its middle plane that is nearest to the origin.
+    If the ball is an interval across an edge of a polygon, the axes are x and y. The centre is then
+    c n, with the unit vector n across the edge and the middle c of the interval along n.
 
     Returns
     -------

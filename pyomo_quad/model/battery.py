@@ -167,8 +167,8 @@ def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
     The energy lost is the integral of U_0 i - P, with the open-circuit voltage U_0 at the start,
-    the current i and the power P. Energy plus loss is U_0 times the charge drawn in flight. See
-    docs/theory/battery.md, eqs. (11) to (12).
+    the current i and the power P. Energy plus loss is U_0 times the charge drawn in flight:
+    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -273,6 +273,7 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
 
+    If the model has `capacity_factor` (state of health), the result is the charge divided by it.
     `b` is the block `battery`, and `t` the time in flight [s].
     """
     # The constants of eq. (5) of Yacef et al. hold for an unaged cell.

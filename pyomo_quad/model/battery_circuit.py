@@ -61,7 +61,8 @@ LOSS = "battery.loss"
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of relaxation, temperature and health of a scenario's battery.
 
-    A part without a table in the scenario, such as the relaxation voltage, has no parameters.
+    The parameters of a part are included only if the scenario has its table: `battery.relaxation`,
+    `battery.thermal` or `battery.health`.
     """
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))

@@ -184,9 +184,9 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
 
-    The objective [J] is the energy, plus `mission.price_of_time` [W] times a free duration. A
-    mission for least charge adds the energy lost inside the pack, docs/theory/battery.md, eq. (12).
-    `m` already has motion, wind and power.
+    The objective [J] is the energy. If the duration is free, `mission.price_of_time` [W] times the
+    duration is added. If the mission minimises the charge, the energy lost inside the pack is
+    added; see docs/theory/battery.md, eq. (12). `m` already has motion, wind and power.
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)

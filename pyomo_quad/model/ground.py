@@ -37,8 +37,8 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
 
     The heights `height_limited_below`, for a floor, and `height_limited_above`, for a ceiling, are
-    expressions over time in block `ground` [m]. The docstring of this module defines both. The
-    second is declared only with a ceiling.
+    expressions over time in block `ground` [m]. The docstring of this module defines both.
+    `height_limited_above` is declared only if the airspace has a ceiling.
 
     Parameters
     ----------

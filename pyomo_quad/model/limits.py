@@ -10,10 +10,10 @@ The module declares the limits of eq. (10) of the paper (Yacef et al.), with two
 A plan leaves the fraction `limits.reserve` of the largest rotor speed and thrust unused, for the
 controller that follows the plan.
 
-With a time constant of the motors, the magnitude of the rotor acceleration is at most
-(rotor_speed_max - speed) / time constant, at the present rotor speed. A motor with a first-order
-lag cannot gather speed faster. As a simplification, the same limit applies while the rotor slows
-down.
+If the motors have a time constant, the magnitude of the rotor acceleration is at most
+(rotor_speed_max - speed) / time constant, where speed is the present rotor speed. A motor with a
+first-order lag cannot gather speed faster. As a simplification, the same limit applies while the
+rotor slows down.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -62,11 +62,11 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return parameter values without the reserve of rotor speed and thrust for the controller.
+    """Return parameter values with a reserve of zero, so that a flight may use full rotor speed.
 
-    `numbers` has values by full name. The result is a copy with a reserve of zero, so that the
-    controller may use the full rotor speed and thrust. Without a reserve in `numbers`, the result
-    is `numbers`.
+    `numbers` has the values by full name. The result is a copy in which `limits.reserve`, the share
+    of rotor speed and thrust kept for the controller, is 0. If `numbers` is None or has no reserve,
+    it is returned as it is.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -99,8 +99,8 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
     """Return the largest rotor speed [rad/s] or thrust [N] that a plan may use.
 
-    `most` is the vehicle's largest rotor speed or thrust, and `b` the block `limits`. Without the
-    parameter `reserve`, the result is `most`.
+    The result is (1 - reserve) `most`, with the vehicle's largest rotor speed or thrust `most`. If
+    the block `limits`, `b`, has no parameter `reserve`, the result is `most`.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -124,8 +124,8 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
     """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
 
-    Measured flights give the range. A limit without a value in the vehicle is not declared. `b` is
-    the block `limits` of the model `m`.
+    Measured flights give the range. A limit is declared only if `b`, the block `limits` of the
+    model `m`, has its parameter.
     """
     if b.component("validated_airspeed") is not None:
 

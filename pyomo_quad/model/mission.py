@@ -119,9 +119,13 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    They are place and heading at start and goal, conditions at waypoints, and limits in a hover. A
-    constant heading has a limit on the yaw rate. A free duration has bounds, and `price_of_time`
-    [W], a factor on the duration in the objective.
+    The parameters are:
+
+    - place and heading at start and goal, and conditions at waypoints,
+    - limits during a hover, if the mission has a hover at a waypoint,
+    - a limit on the yaw rate, if the heading is constant,
+    - bounds of the duration and its price in the objective, `price_of_time` [W], if the duration
+      is free.
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -169,8 +173,9 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the Pyomo variables of all times that a plan chooses, by their nominal times [s].
 
-    A plan chooses passing times, ends of hovers and a free duration. Their nominal times, which the
-    scenario prescribes or estimates, are members of the time set of the model `m`.
+    A plan chooses the passing times of waypoints, the ends of hovers and, if it is free, the
+    duration. The scenario has a nominal value of each, a member of the time set of the model `m`.
+    Constraints at a chosen time are declared at its nominal time.
     """
     # Constraints at a chosen time are declared at its nominal time.
     *passages, end = scenario.nominal_times
@@ -337,7 +342,7 @@ def _declare_end(
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
     """Return two constraints at the goal: yaw has its prescribed value, and body rate r is zero.
 
-    The constraint `yaw_keeping` makes both redundant; they are active only without it. `b` is the
+    If the constraint `yaw_keeping` is active, it implies both, and they are inactive. `b` is the
     block `mission`, which has the constraints.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
@@ -415,8 +420,8 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by a steady hover, tilted against the wind.
 
-    Models for replanning in flight use this end condition, because the vehicle can stay at the
-    goal.
+    Models for replanning in flight use this end condition, because the vehicle can then stay at the
+    goal. In a level hover, the wind would accelerate it.
 
     Parameters
     ----------

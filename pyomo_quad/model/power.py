@@ -125,10 +125,11 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameter values that smooth the kink in a rotor's power at zero more strongly.
+    """Return parameter values for solves in which a rotor's power is smoothed over larger widths.
 
-    A solve with a larger width converges more easily, and its solution is the initial guess for the
-    next width. Each item sets one width; the largest comes first.
+    Without regeneration, the power is max(P, 0), whose kink at P = 0 is rounded over a width. A
+    solve with a large width converges easily, and its solution is the initial guess for the next
+    width. The largest width comes first.
 
     Returns
     -------
@@ -215,8 +216,8 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
     Voltage and current are eqs. (2) and (3) of Yacef et al., valid at all speeds and torques. With
-    regeneration, a braking rotor returns its shaft power less the copper loss. Without profile
-    drag, the hover power is half that of a real aircraft.
+    regeneration, a braking rotor returns its shaft power less the copper loss. The profile drag of
+    the rotors counts only as far as the vehicle's `drag_torque_coefficient` includes it.
 
     Parameters
     ----------
@@ -286,8 +287,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
     f_r is the efficiency polynomial of Yacef et al., recovered from two public re-implementations.
-    The parameter `torque_floor` limits the torque in f_r, and `efficiency_floor` the value of f_r,
-    smoothly from below. The optimum depends on the mesh and on the bound on the rotor acceleration.
+    The torque in f_r has the smooth lower limit `torque_floor`, and the value of f_r the smooth
+    lower limit `efficiency_floor`. The optimum depends on the mesh and on the bound on the rotor
+    acceleration.
 
     Parameters
     ----------

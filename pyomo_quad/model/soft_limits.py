@@ -75,7 +75,7 @@ def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
     A violation of one unit (such as 1 m) costs the energy that lifts the vehicle by 300 m. For the
-    penalty that is exact, see docs/theory/soft_limits.md, eq. (2).
+    penalty above which no avoidable violation remains, see docs/theory/soft_limits.md, eq. (2).
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
@@ -119,8 +119,8 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 def _soften_limit(b: Block, limit: Constraint) -> None:
     """Replace a path constraint by a soft constraint for each of its bounds, lower and upper.
 
-    Both use the largest violation over time, in the variable `most` of `b`, the block `soft`. The
-    path constraint `limit` is deactivated.
+    Both contain the same variable `most[limit.name]` of `b`, the block `soft`: the largest
+    violation of the constraint over time. The original constraint `limit` is deactivated.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)

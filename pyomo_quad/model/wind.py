@@ -139,9 +139,11 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    With a wind profile, it is the wind at the reference height; for a wind measured at several
-    heights, the wind at 10 m above the ground (`USUAL_HEIGHT`); for a wind field, the mean over all
-    places with wind.
+    The kind of wind determines where the mean is taken:
+
+    - wind profile: at the reference height,
+    - wind measured at several heights: at 10 m above the ground (`USUAL_HEIGHT`),
+    - wind field: over all places with wind.
     """
     wind = scenario.wind
     if wind.grid is not None:
@@ -292,7 +294,8 @@ def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
     A value is zero or, for a parameter over time, a function that returns zero. A full name is a
-    name such as "wind.x.mean". A user's own wind without mutable speeds keeps its speed.
+    name such as "wind.x.mean". If a user's own wind has no mutable parameters with the unit of a
+    speed, it is not changed.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -485,8 +488,9 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed along one axis, measured over time, as a spline that a Pyomo model can evaluate.
 
-    After the last measurement, the speed is constant, with a smooth transition. For a wind measured
-    over time and height, an object is one coefficient of the spline over height.
+    After the last measurement, the speed is constant, with a smooth transition. If the wind was
+    measured over time and height, the object gives one coefficient of the spline over height,
+    instead of the speed.
 
     Parameters
     ----------
@@ -527,6 +531,6 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline through the part of the measurement that a flight of free duration may reach."""
+        """Spline through the measurements at times that the longest flight may reach."""
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

@@ -58,8 +58,8 @@ _PASSING_STEPS = 0.02
 def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
-    It equals max(number, 0), up to rounding, a few widths from zero. The function
-    `parameters.positive_part` is as accurate only much farther from zero.
+    At more than a few widths from zero, it equals max(number, 0) up to rounding. The function
+    `parameters.positive_part` approaches max(number, 0) much more slowly.
     """
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
@@ -162,10 +162,11 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 
 
 def wind_corners(scenario: Scenario) -> FloatArray:
-    """Return corners of a polyhedron that contains the wind of a field at every place and time.
+    """Return corners of a polyhedron that contains every wind that a flight may meet in a field.
 
-    The polyhedron, in the space of wind velocities, contains the control points of all cells that
-    flights may enter. See docs/theory/bound.md, eq. (21).
+    The polyhedron, in the space of wind velocities, contains the control points of the wind's
+    spline in all cells that flights may enter. It therefore contains the wind in these cells. See
+    docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -259,8 +260,9 @@ class ColumnWinds:
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     """Return bounds of the horizontal wind in each vertical column of a wind field's grid.
 
-    A column consists of all cells at one horizontal position. Its bounds are the least and the
-    greatest control point in the cells that flights may enter; see docs/theory/bound.md, eq. (21).
+    A column consists of all cells at one horizontal position. Its bounds are the least and greatest
+    control point of the wind's spline in those of its cells that flights may enter. See
+    docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------

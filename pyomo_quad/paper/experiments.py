@@ -134,8 +134,8 @@ def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
     The power is computed with the efficiency f_r. The report compares the result with the energy
-    that Yacef et al. print for adaptive control. Only rotors that accelerate and brake all the time
-    take more energy.
+    that Yacef et al. print for adaptive control. A flight takes more energy than this only if its
+    rotors accelerate and brake all the time.
 
     Parameters
     ----------

@@ -58,9 +58,10 @@ class Reading(StrEnum):
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's Pyomo model without the battery, of which the energy is independent.
+    """Build a mission's Pyomo model without the battery.
 
-    For some values of f_r, the current of the battery is undefined.
+    For some values of f_r, the current of a battery would be undefined. The energy of a flight does
+    not depend on the battery.
     """
     m = build_model(scenario)
     m.del_component(m.battery)

@@ -171,8 +171,9 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the rotor-acceleration bound that yields the energy printed by Yacef et al. [rad/s²].
 
-    The least energy of any flight decreases with the bound. The result is interpolated to the
-    printed energy of the optimal flight, under the bare polynomial f_r (`Reading.LITERAL`).
+    The larger the bound, the smaller the least energy of any flight. At the returned bound, it
+    equals the printed energy of the optimal flight. The least energy is computed with the bare
+    polynomial f_r (`Reading.LITERAL`), and interpolated between bounds.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)

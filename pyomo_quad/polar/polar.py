@@ -140,8 +140,8 @@ class SteadyCurve:
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
     """Return the minimiser of a function of one variable.
 
-    `trials` are arguments of the function in ascending order. The result lies between the two
-    neighbours of the best trial.
+    `trials` are arguments of the function `cost`, in ascending order. The result lies between the
+    two neighbours of the trial with the least cost.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]

@@ -4,10 +4,10 @@ The flight is straight and level, at the ground speed of least energy per metre 
 Over rising terrain the vehicle climbs to keep the floor, the least allowed height above ground.
 Keep-out zones are ignored.
 
-The usable charge is the charge above the least state of charge that the scenario allows. It lasts
-for a distance in the local wind, the range [m], so that each metre takes the fraction 1 / range.
-The reach ends where the fractions sum to 1, climbs and way back included. It also ends at the edge
-of the terrain or wind field.
+The usable charge is the charge above the least state of charge that the scenario allows. If this
+charge lasts for a range of R metres in the local wind, one metre takes the fraction 1 / R of it.
+Climbs take further fractions, and so does the way back if the vehicle returns. The reach ends where
+all fractions sum to 1, or at the edge of the terrain or wind field.
 """
 
 import json
@@ -161,18 +161,19 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
     """Return the battery charge that one metre of climb takes, relative to the usable charge [1/m].
 
     The usable charge is the charge above the least state of charge that the scenario allows.
-    Without terrain the result is 0.
+    If the scenario has no terrain, the result is 0.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the least state of charge and, in `mission.return_flight`, the rate of climb.
-        The table may also give the battery current of the climb, instead of `climb_current`.
+        Scenario with the least state of charge and the rate of climb. If its field
+        `mission.return_flight.climb_current` is absent, the battery current of the climb is
+        computed.
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve
-        Power and endurance over airspeed in calm air. The function `climb_current` needs the
-        airspeed of least energy per metre, which this curve gives.
+        Power and endurance over airspeed in calm air. Its airspeed of least energy per metre is
+        used to compute the current.
     """
     # Without terrain the flight is level.
     if scenario.airspace.ground is None:
@@ -276,7 +277,8 @@ def _boundary_on(
         Distances from the start [m].
     share : ndarray, shape (n_steps,)
         Fraction of the usable charge for one metre of level flight at each distance [1/m]. It
-        includes the way back if the vehicle returns.
+        includes the way back if the vehicle returns. If it is infinite at any distance, because of
+        strong wind, the vehicle flies 0 m.
     climbed : ndarray, shape (n_steps,)
         Fraction of the usable charge for all climbs from the start up to each distance.
     is_known : ndarray of bool, shape (n_steps,)

@@ -73,8 +73,9 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the main results of a polar as a dictionary for `summary.json`.
 
-    The results apply to the scenario's own payload. The reach is the greatest distance from which
-    the vehicle returns to the start on the same battery charge.
+    A polar may have curves of several payloads. The dictionary describes only the scenario's own
+    payload. The reach is the greatest distance from which the vehicle returns to the start on the
+    same battery charge.
     """
     facts = _facts(polar.own)
     best = facts.pop("best")

@@ -81,7 +81,8 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     Parameters
     ----------
     path : str or Path
-        Final file. The content is copied to a character device or FIFO, such as ``/dev/stdout``.
+        Final file. If it is a character device or FIFO, such as ``/dev/stdout``, the content is
+        copied to it.
     mark : str, optional
         Text that marks files of this package. The caller must write the text into the new file. An
         existing regular file is replaced only if it contains the text or is empty.
@@ -266,9 +267,11 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Replace an old output folder by the new one that lies beside it under a hidden name.
+    """Rename a complete new output folder from its hidden name to its final path.
 
-    The function acts only if a run of this package made the new folder, which is complete.
+    The hidden name is ``.NAME.ready`` for a final folder NAME. If this folder does not exist, or no
+    run of this package made it, nothing is renamed. An old folder at the final path is first
+    renamed to `aside`.
 
     Parameters
     ----------
@@ -277,7 +280,7 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     path : str or Path
         The same folder as the user wrote it, for messages.
     aside : Path
-        Temporary name of the old folder.
+        Path to which an old folder is renamed.
     """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):

@@ -530,7 +530,7 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
     The first of `flights` is the plan. `hover_energy_J` is the energy of hovering for the plan's
-    duration. Without hidden curves the sentence is empty.
+    duration. If no curve is hidden, the sentence is empty.
     """
     if ENERGY.name not in flights[0].frame:
         return ""
@@ -542,7 +542,7 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on energy bars that end below the hover energy.
 
     The first of `flights` is the plan. `hover_energy_J` is the energy of hovering for the plan's
-    duration. Without such bars the sentence is empty.
+    duration. If there are no such bars, the sentence is empty.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     # A flight can use less energy than hovering, for example in descent or in forward flight. Its
@@ -578,8 +578,8 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
     """Return a sentence for a figure's caption that ends with the names of `flights`.
 
-    With `words` "Not drawn" and `sign` ":", the sentence is " Not drawn: A and B." Without flights
-    it is empty.
+    For example, `words` "Not drawn" and `sign` ":" give " Not drawn: A and B." If `flights` is
+    empty, the sentence is empty.
     """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 

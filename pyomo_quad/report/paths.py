@@ -267,10 +267,11 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths are so far from the plan's path that they leave the figure.
+    """Return the flights whose paths leave the figure because they are too far from the plan.
 
-    The plan is first. At some time, the distance from the plan exceeds both the diagonal of the box
-    around the plan's path and 0.2 m.
+    The first of `flights` is the plan. A path leaves the figure if its greatest distance from the
+    plan at equal times exceeds max(d, 0.2 m). Here d is the diagonal of the box around the plan's
+    path.
     """
     return _further(flights, ASTRAY)
 
@@ -285,8 +286,8 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
     """Return the least and the greatest x, y and z of a figure of paths, shape (3, 2), in m.
 
-    The ranges include all paths that do not leave the figure (see `leaving_paths`), and the nearby
-    airspace of `mission`.
+    The ranges include all paths that do not leave the figure (see `leaving_paths`). If `mission` is
+    given, they are extended to show its airspace (see `_with_airspace`).
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -336,9 +337,11 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Extend the axis limits of a figure of paths towards keep-out zones, floor and ceiling.
+    """Extend the axis limits of a figure of paths to show keep-out zones, floor and ceiling.
 
-    `limits` and the result hold the least and the greatest x, y and z [m], shape (3, 2).
+    No limit moves by more than a quarter of the longest axis, so that the figure may cut off
+    distant zones. `limits` and the result hold the least and the greatest x, y and z [m], shape
+    (3, 2).
     """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     # The extension is limited, so that distant zones do not make the paths small.

@@ -88,8 +88,8 @@ def write_solve_report(
 ) -> None:
     """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
-    The text states the plan's status (see `PlanStatus`). The title also states a status other than
-    "verified" or "usable".
+    The text states the plan's status (see `PlanStatus`). If the status is neither `VERIFIED` nor
+    `USABLE`, the title begins with it.
 
     Parameters
     ----------
@@ -324,7 +324,7 @@ class FreeClimb:
     potential_J : float
         Potential energy that the climb adds.
     spent_J : float
-        Energy of the flight above hovering for the same time.
+        Energy of the flight less the energy of hovering for the same time.
     """
 
     height_m: float

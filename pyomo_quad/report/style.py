@@ -492,10 +492,10 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the plan and the only baseline flight that the figures of states show with it.
+    """Return the two flights that the figures of states show: the plan and one baseline flight.
 
-    In this flight, `FAIR_BASELINE`, a controller follows a smooth reference trajectory. It may be
-    missing among the given flights.
+    The baseline flight has the name `FAIR_BASELINE`: a controller follows a smooth reference
+    trajectory. If `flights` lacks it, only the plan is returned.
 
     Parameters
     ----------

@@ -68,10 +68,10 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the distance from the centre is measured.
+        """Return the coordinates of places with which `depth` computes the distance to the centre.
 
-        The coordinate of an interval is x, y, z, or the position along the normal of a polygon's
-        edge.
+        These are x, y and z for a sphere, and x and y for a cylinder. For an interval, the result
+        is x, y or z, or the position along the normal of a polygon's edge.
 
         Parameters
         ----------
@@ -422,8 +422,8 @@ class TerrainGrid(Part):
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
         """Return a smooth surface of heights at which a horizontal flight home clears the terrain.
 
-        The surface is at least as high as the highest ground on the straight line from each place
-        to the home.
+        At each place, the surface is at least as high as the highest ground on the straight line
+        from there to the home.
 
         Parameters
         ----------
@@ -441,8 +441,8 @@ class TerrainGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's four edges, by name ("west", "east", "south", "north").
 
-        A position holds the axis (0 for x, 1 for y), its end (-1 lower, 1 upper) and the coordinate
-        [m].
+        A position holds the axis (0 for x, 1 for y), the end of this axis (-1 lower, 1 upper) and
+        the edge's coordinate on it [m].
         """
         return {
             "west": (0, -1.0, self.x[0]),

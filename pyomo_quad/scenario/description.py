@@ -349,7 +349,8 @@ def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     """Return the allowed range of a number in words, followed by the reason for the range.
 
-    The range satisfies both the plausible range and the minimum and maximum of the JSON Schema.
+    The allowed range is the intersection of the plausible range and the range between minimum and
+    maximum of the JSON Schema.
 
     Parameters
     ----------

@@ -287,10 +287,10 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the initial value of a field: its value if a user's scenario file omits it.
+    """Return the initial value of a field, or None if the field has no initial value.
 
-    Only a few fields have an initial value, which `quantity` declares. For all other fields the
-    result is None.
+    If a user's scenario file omits the field, the field gets the initial value. If a scenario that
+    the package has stored omits it, the field gets its default instead (see `quantity`).
 
     Parameters
     ----------

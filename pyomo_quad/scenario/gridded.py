@@ -365,10 +365,10 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Return gridded data with ascending axes, and without height or time axes of a single point.
+    """Sort gridded data so that all axes ascend, and drop unneeded axes of height or time.
 
-    Raises a ScenarioError, which begins with `place`, if the axis x or y is missing, or if there
-    are too many values.
+    An axis of height or time is dropped if it has only one point. Raises a ScenarioError, which
+    begins with `place`, if the axis x or y is missing, or if there are too many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

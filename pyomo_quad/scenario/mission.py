@@ -273,8 +273,9 @@ class Mission(Part):
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return the times at which waypoints are reached and left, and the end time.
 
-        Legs between two prescribed times (0 at the start) are scaled by a common factor. Legs after
-        the last prescribed time keep their desired durations.
+        The durations of all legs between two prescribed times are multiplied by a common factor, so
+        that these times are met. The start has the prescribed time 0. Legs after the last
+        prescribed time keep their desired durations.
 
         Parameters
         ----------

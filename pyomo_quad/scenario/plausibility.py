@@ -173,7 +173,7 @@ def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float
     """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
     A motor of the model creates power if torque constant times voltage constant exceeds 1. Above
-    the returned speed, the copper loss is greater.
+    the returned speed, its copper loss exceeds the created power.
 
     Parameters
     ----------

@@ -502,8 +502,8 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    Only a user's scenario file gets initial values, not a stored scenario. Fields that are still
-    missing get their defaults in the validation.
+    If the scenario was stored by the package, initial values are not used (see `initial_of`).
+    Fields that are still missing get their defaults later, in the validation.
 
     Parameters
     ----------
@@ -562,8 +562,8 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     """Return the initial values of a scenario's fields, as nested tables.
 
-    A few optional fields have an initial value, which differs from the default. The field gets it
-    if a user's scenario file leaves the field out.
+    Only a few optional fields have an initial value. If a user's scenario file omits such a field,
+    the field gets this value instead of its default (see `initial_of`).
     """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
@@ -775,8 +775,8 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        A missing floor, the least height above the ground, is set equal to the clearance from
-        keep-out zones, or to 0 without a clearance.
+        If the scenario gives no floor (least height above the ground), the floor is set to the
+        clearance from keep-out zones. If it gives no clearance either, the floor is 0.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -858,8 +858,8 @@ class _Filled:
     def add_wind_series(self) -> None:
         """Add the measured winds over time from the files `wind.file` and `wind.forecast.file`.
 
-        A free duration of the mission without an upper limit gets a limit: the earliest end of a
-        measured wind, counted from the start of the mission.
+        If the mission's duration is free and has no upper limit, the earliest end of a measured
+        wind becomes the limit. This end is counted from the start of the mission.
         """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []

@@ -3,10 +3,10 @@
 Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
 below the ground, or nowhere above it.
 
-A surface above the ground is the cubic spline through the heights, with B-spline coefficients
-raised until no Bernstein coefficient of the difference spline - ground is negative in any cell. A
-surface below the ground is the mirror image of a surface above the mirrored ground, whose heights
-are multiplied by -1. Proof: see docs/theory/homing.md.
+A surface above the ground begins as the cubic spline through the heights. Its B-spline coefficients
+are then raised until, in every cell, all Bernstein coefficients of (spline minus ground) are at
+least 0. For a surface below the ground, the heights are multiplied by -1. The surface above these
+heights is computed, and multiplied by -1. Proof: see docs/theory/homing.md.
 """
 
 from dataclasses import dataclass
@@ -136,8 +136,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
     """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
-    At each place, the bilinearly interpolated height is at least the highest ground on the straight
-    line to the home. Derivation: docs/theory/homing.md, eq. (7).
+    Between the points, the result is to be interpolated bilinearly. At each place, it is then at
+    least as high as the highest ground on the straight line from there to the home. Derivation:
+    docs/theory/homing.md, eq. (7).
 
     Parameters
     ----------

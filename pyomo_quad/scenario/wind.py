@@ -234,8 +234,9 @@ class WindGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's edges by name ("west", "east" and so on).
 
-        A position holds the axis (0 for x, 1 for y, 2 for z), its end (-1 lower, 1 upper) and the
-        coordinate [m]. The edges "bottom" and "top" exist only if the field has heights.
+        A position holds the axis (0 for x, 1 for y, 2 for z), the end of this axis (-1 lower,
+        1 upper) and the edge's coordinate on it [m]. The edges "bottom" and "top" exist only if the
+        field has heights.
         """
         names = (("west", "east"), ("south", "north"), ("bottom", "top"))
         return {
@@ -403,8 +404,8 @@ class Wind(Part):
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
         """Yield an error message if the wind at a place is missing at all times of the wind field.
 
-        The wind is missing outside the grid and where the file has no value. Without a wind field,
-        or with `wind.beyond` "hold", there is no message.
+        The wind is missing outside the grid and where the file has no value. If there is no wind
+        field, or if `wind.beyond` is "hold", there is no message.
 
         Parameters
         ----------
@@ -540,9 +541,9 @@ def with_coupling(
 ) -> dict[str, Any]:
     """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
-    The wind acts through the drag if the vehicle has drag coefficients, otherwise as an
-    acceleration by eq. (9) of Yacef et al. as printed. A forecast has the coupling of the actual
-    wind by default.
+    If the vehicle has drag coefficients, the wind acts through the drag. Otherwise the wind is an
+    acceleration, as printed in eq. (9) of Yacef et al. By default, a forecast has the coupling of
+    the actual wind.
 
     Parameters
     ----------

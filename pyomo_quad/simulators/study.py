@@ -1,11 +1,11 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
-The plans of the missions are flown by the package's own vehicle model (the "declared" vehicle) and
-by RotorPy's vehicle, under the package's controller and without feedback. In RotorPy they are also
-flown under RotorPy's controller SE3.
+The plans of the missions are flown in two simulation models: the package's own (the "declared"
+vehicle) and RotorPy's. In both models there are flights under the package's controller and flights
+without feedback. In RotorPy's model there are also flights under RotorPy's controller SE3.
 
-Each feature in which RotorPy's model differs, such as rotors without a gyroscopic moment, is
-changed alone, to find its contribution to the difference between the flights.
+RotorPy's model differs in several features; its rotors, for example, have no gyroscopic moment.
+Each feature is changed alone, to find its part in the difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -421,9 +421,9 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return how far a flight is from its plan over time, at fewer than 500 samples.
+    """Return how far a flight is from its plan over time, at fewer than 500 times.
 
-    The arrays are times [s], and distances [m] from the planned position at the same time.
+    The result is two arrays: times [s], and distances [m] from the planned position at each time.
     """
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
@@ -474,17 +474,17 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield descriptions of flights whose commanded position jumps from start to goal at once.
+    """Yield descriptions of flights whose commanded position jumps from start to goal.
 
-    The flights show the effect of a limit on the rotor acceleration. `limited` is RotorPy's vehicle
-    with this limit.
+    RotorPy's vehicle flies with and without the scenario's limit on the rotor acceleration. The
+    flights show the effect of this limit.
 
     Parameters
     ----------
     mission : _Mission
         Mission of all flights.
     limited : OutsidePlant
-        RotorPy's vehicle with the scenario's limit on the absolute rotor acceleration.
+        RotorPy's vehicle with the limit on the absolute rotor acceleration.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -496,7 +496,8 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
 
-    The flights have larger gains, or a feedforward of the aerodynamic force.
+    In some flights the controller has larger gains. In another it has a feedforward of the
+    aerodynamic force.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -580,8 +581,9 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    A flight is compared with an earlier flight of the declared vehicle along the same reference:
-    under the same controller, else under the adaptive one.
+    Each flight is compared with a flight of the declared vehicle along the same reference, which
+    must come earlier in `flights`. If there is none under the same controller, the one under the
+    adaptive controller is taken.
 
     Parameters
     ----------

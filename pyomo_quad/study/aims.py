@@ -30,8 +30,8 @@ _LONGEST_S = 10.0
 class AimColumn(TableColumn):
     """Columns of the table that compares the plans of least energy and least charge.
 
-    Each row is one of the two plans: objective, energy, charge, and whether the plan is the run's
-    own. The other plan was solved only for the comparison.
+    Each row is one of the two plans, with its objective, energy and charge. `IS_PLAN` says whether
+    it is the plan of the run; the other plan was solved only for the comparison.
     """
 
     AIM = "aim"

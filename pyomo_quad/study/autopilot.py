@@ -132,8 +132,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    The flight ends when the vehicle has arrived, at most `SETTLINGS_S[-1]` seconds after the
-    reference trajectory, and not before a fixed duration.
+    After the end of the reference trajectory, the vehicle hovers at the goal until it has arrived,
+    for at most `SETTLINGS_S[-1]` seconds. If the mission has a fixed duration, the flight lasts at
+    least as long.
 
     Parameters
     ----------
@@ -196,10 +197,11 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which a simulated flight of an autopilot can end [s].
+    """Return the earliest time at which a simulated flight of an autopilot can end [s].
 
-    The vehicle has then arrived, and the reference trajectory and a fixed duration are over. If
-    this never happens, the result is the last time in `flown`.
+    The vehicle has arrived at this time, and the reference trajectory is over. If the mission has a
+    fixed duration, this is over too. If the vehicle never arrives, the result is the last time in
+    `flown`.
 
     Parameters
     ----------
@@ -323,8 +325,8 @@ def _start_of_search(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the initial simplex of the search for an autopilot's settings, as two triples.
 
-    The first of the four vertices is `settings`. Each other vertex has one setting multiplied by
-    its factor.
+    The simplex has four vertices. The first is `settings`. Each other vertex differs from it in one
+    setting, which is multiplied by its factor.
 
     Returns
     -------

@@ -62,8 +62,8 @@ class ThrustMoments:
     weights : ndarray, shape (2, n, 3)
         Dimensionless weights of the thrust in the first and the second integral, at the nodes,
         along each axis. The first weight is 1. The second is (k(t) - mean of k over the flight) /
-        duration. An increase of the velocity by dv at the time t moves the end of the flight by
-        k(t) dv along the axis (docs/theory/bound.md, eq. (3)).
+        duration, with k(t) from docs/theory/bound.md, eq. (3): if the velocity along the axis
+        increases by dv at the time t, the end of the flight moves by k(t) dv.
     demanded : ndarray, shape (2, 3)
         Values of the first and the second integral that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
@@ -655,10 +655,10 @@ def _has_places(
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the clause that the bound also holds for the flights that stay within the airspace.
+    """Return a clause which says that a bound also holds for flights within the airspace.
 
-    The clause ends the sentence about a bound. Without keep-out zones, floor and ceiling it is
-    empty.
+    The clause ends the sentence about the bound. If the scenario has no keep-out zones, floor or
+    ceiling, the clause is empty.
     """
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:

@@ -134,8 +134,8 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings if the power model is outside its valid range at or near hover.
 
-    A battery voltage below that of hover is "impossible" if the power model uses the motor's
-    electrical constants, else a caution.
+    If hover needs more voltage than the battery gives, the finding is "impossible" with the power
+    models `motor` and `motor_with_friction`. With other models it is a caution.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -176,10 +176,10 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed [rad/s] where chattering takes less power than a steady speed.
+    """Return the highest rotor speed at which chattering takes less power than a steady speed.
 
-    Chattering is alternating acceleration and braking, up to ``limit`` [rad/s^2]. The result is
-    None if a steady speed is always better.
+    Chattering is alternating acceleration and braking of a rotor, each at most ``limit``
+    [rad/s^2]. The result [rad/s] is None if chattering saves power at none of the speeds tried.
     """
     hover = steady.hover_speed
     # Where chattering takes less power, a plan of least energy chatters. The plan then depends on
@@ -579,7 +579,7 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
     """Yield a caution if a plan with simplified attitude equations in fact misses the goal.
 
     The equations of Yacef et al. (`vehicle.attitude` "paper") equate Euler rates and body rates.
-    The controls are flown with the exact relation.
+    This function simulates the plan's controls with the exact relation between them.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

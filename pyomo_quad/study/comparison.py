@@ -182,11 +182,15 @@ def compare_flights(
     - saving of the plan: 100 (E of the flight - E of the plan) / E of the flight, in per cent;
     - saving above hover: 100 (E of the flight - E of the plan) / excess of the flight, in per cent.
 
-    Lower bound, gap and savings are NaN for a flight that is not comparable (see `is_comparable`).
-    With a wind forecast, all savings are NaN, and so are lower bound and gap of the plan. Lower
-    bound and gap are NaN for a duration that the certificate does not cover. The saving above hover
-    is NaN if the flight lasts longer or shorter than the plan, or if the plan takes less energy
-    than hovering.
+    Values of a flight are NaN in these cases:
+
+    - lower bound, gap and savings: if the flight is not comparable (see `is_comparable`);
+    - lower bound and gap: if the certificate does not cover the duration of the flight;
+    - lower bound and gap of the plan: if the scenario has a wind forecast;
+    - savings: if the flight is the plan itself, if the plan is not comparable, or if the scenario
+      has a wind forecast;
+    - saving above hover: if flight and plan differ in duration, or the plan takes less energy than
+      hovering.
     """
     # With a forecast, the plan was made for the forecast wind, but bound and other flights are of
     # the actual wind.
@@ -265,7 +269,8 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
 class LegColumn(TableColumn):
     """Columns of the table of a flight's legs, the parts from one waypoint to the next.
 
-    Each row is a leg, or a hover at a waypoint. Times are those of its start and end.
+    Each row is a leg, or a hover at a waypoint, with the times of its start and end, its length and
+    its energy.
     """
 
     LEG = "leg"
@@ -374,7 +379,8 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    Solve times are measured; the delays in the simulated flight may differ (``settings.clock``).
+    The solve times in the table are measured. If ``settings.clock`` is "stated", the simulated
+    flight instead assumes that each solve takes ``settings.solve_time``.
 
     Parameters
     ----------
@@ -481,8 +487,8 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
     """Return the time that a flight spends within `INSIDE_DISTANCE_M` of the goal [s].
 
-    An interval of `frame` with one end near the goal counts half. The time is NaN if the table
-    lacks a coordinate.
+    A time interval of `frame` counts fully if both its ends are near the goal, and half if one end
+    is. The result is NaN if `frame` lacks a coordinate.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)
@@ -495,8 +501,8 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
     """Return the values of a rotor variable, such as "rotors.omega", from the table of a flight.
 
-    The shape is (times, rotors), with at least four rotors. Rotors that a user's model lacks have
-    NaN.
+    The result has one row for each time, and one column for each rotor, but at least four columns.
+    The values of rotors that a user's model lacks are NaN.
     """
     shown = [one for one in ALL_COLUMNS if one.component == component]
     return np.column_stack(

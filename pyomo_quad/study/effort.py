@@ -202,8 +202,8 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
 def _cells(scenario: Scenario) -> int:
     """Estimate how many grid cells of the wind field or of the terrain a mission's legs cross.
 
-    The estimate is the legs' horizontal length over the least horizontal step of the grids; 0
-    without a grid.
+    The estimate is (horizontal length of all legs) / (least horizontal step of the grids). It is 0
+    if the scenario has no grid.
     """
     field, ground = scenario.wind.grid, scenario.airspace.ground
     steps = [] if field is None else [after - at for at, after in pairwise(field.x)]

@@ -135,8 +135,9 @@ class Ensemble(Summarised):
     def worst(self) -> dict[str, float]:
         """Largest violation of each broken limit over all flights, by the limit in words.
 
-        The value is (violation / max(1, limit)), except for final distance [m], final speed [m/s],
-        and battery (fraction of power or charge that it lacks).
+        For the arrival, the value is the final distance [m] or speed [m/s]. For the battery, it is
+        the missing fraction of power or charge. For any other limit, it is violation / max(1,
+        limit).
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
@@ -250,10 +251,11 @@ def fly_cruise_often(
     least_s: float = 0.0,
     arriving: float = 0.5,
 ) -> Ensemble:
-    """Simulate an autopilot, straight between waypoints, many times in random winds.
+    """Simulate many flights of an autopilot, straight between waypoints, in random winds.
 
-    With the same seed, the winds are those of `fly_plan_often`. All flights end with an equal wait
-    at the goal: the shortest, to `_WAIT_S`, with which the share `arriving` arrives.
+    With the same seed, the winds are those of `fly_plan_often`. At the goal, all flights wait for
+    the same time. It is the shortest with which at least the share `arriving` of the flights
+    arrives, or the one with most arrivals if none is long enough.
 
     Parameters
     ----------

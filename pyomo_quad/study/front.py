@@ -44,8 +44,8 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a free-duration mission for several prices of time.
 
-    The objective is energy + price of time [W] * duration. The limits hold only at the points of
-    the plan's mesh, on which each mission is solved.
+    The objective is energy + price of time [W] * duration. The mission is solved for each price on
+    the mesh of the plan, without refinement. Between mesh points the new flights may break limits.
 
     Parameters
     ----------
@@ -89,8 +89,8 @@ def planned_alike(
 ) -> Plan:
     """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
 
-    For comparison, the changed mission has the margins of the plan: limits tightened for the
-    allowed risk.
+    If the plan's limits were tightened for an allowed risk, the limits of the changed mission are
+    tightened by the same margins. The two plans are then comparable.
 
     Parameters
     ----------

@@ -163,14 +163,16 @@ def headline_of(result: "RunResult") -> Headline | None:
 
 
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
-    """Choose the flight with which the plan is compared, and return its row; None without one.
+    """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
-    A flight qualifies if `comparison` has the plan's saving over it: it then arrived within the
-    limits. In the order of preference, the result is
+    `comparison` must have a saving of the plan over the flight; the flight then arrived and kept
+    all limits. The flight "open_loop/plan" does not qualify. In the order of preference, the result
+    is
 
     - the flight of the autopilot tuned for least energy,
     - the flight under the controller along a smooth path (quintic polynomial),
-    - the flight of least energy.
+    - the flight of least energy,
+    - None if no flight qualifies.
     """
     # The flight of the plan, and the simulation of its rotor commands without feedback.
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))

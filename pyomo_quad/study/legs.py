@@ -94,8 +94,8 @@ class Leg:
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs of a mission, and the limits on the durations of groups of legs.
 
-    A hover at a waypoint is a leg, and a group of its own. Given passing times divide the other
-    legs into groups.
+    A group has all legs between two successive fixed times: the start, given passing times, and the
+    end. A hover at a waypoint counts as a leg that forms its own group.
 
     Returns
     -------

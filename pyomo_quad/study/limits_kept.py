@@ -1,8 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
-simulates test flights of the plan in turbulence. The risk covers a flight that breaks only limits
-that the test flights break most often.
+simulates test flights of the plan in turbulence. The risk covers a limit if it is among the three
+that the test flights break most often. It covers a flight if it covers every limit that the flight
+breaks.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,8 +29,8 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
     The sentence names the broken limits and says whether the plan's risk covers the flight. The
-    risk applies only to flights under feedback that track the plan, or a new plan for the actual
-    wind.
+    risk applies only to flights under feedback that track the plan, or new plans for the true or
+    the estimated wind.
 
     Parameters
     ----------

@@ -30,11 +30,12 @@ is replaced by p + eta (W - U), and the least H is taken over all winds too. The
 eta are equal on all legs.
 
 H is minimised over T, a and r: of all orientations of a pair in space, the best one is known in
-closed form. The rotor speed stands for T. With the power model `momentum` the induced velocity
-does, because the balance of thrust and induced velocity gives rotor speed and thrust.
+closed form. As a coordinate, T is replaced by the rotor speed. With the power model `momentum`, T
+is replaced by the induced velocity, from which rotor speed and thrust follow.
 
 The least H is bounded from below by branch and bound over boxes, which are ranges of the three
-numbers. A box is halved until its lower bound on H excludes it, up to a tolerance.
+coordinates. A box is excluded if its lower bound on H is at least the least H found so far minus a
+tolerance. Other boxes are halved.
 """
 
 from __future__ import annotations
@@ -120,9 +121,11 @@ class MotionPrices:
 class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
-    The coordinates of a pair are rotor speed (for the power model `momentum` induced velocity), and
-    airspeed along and across the thrust. The module docstring defines H. Several methods leave out
-    its terms in `_constant`.
+    The coordinates of a pair are rotor speed, airspeed along the thrust and airspeed across it.
+    With the power model `momentum`, the induced velocity replaces the rotor speed.
+
+    The module docstring defines H. Several methods leave out the terms of H that are equal for all
+    pairs, which `_constant` returns.
 
     Parameters
     ----------
@@ -334,8 +337,8 @@ class Pairs:
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
         """Search by sampling for the least value of H over all pairs and winds.
 
-        The value found may lie above the true minimum, which `least` bounds. Each returned pair
-        becomes a constraint of the program for the prices.
+        The value found may lie above the true minimum; `least` returns a proven lower bound. Each
+        returned pair becomes a constraint of the linear program for the prices (`_Program`).
 
         Parameters
         ----------
@@ -691,10 +694,11 @@ def bound_of_pairs(
 def prices_of_pairs(
     pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
 ) -> tuple[list[MotionPrices], _Program]:
-    """Search for the prices that give the largest lower bound on a flight's energy, not yet proven.
+    """Search for the prices that give the largest lower bound on a flight's energy.
 
-    The method is that of cutting planes (Kelley, 1960): the program gains the pairs that limit the
-    bound most.
+    The bound during the search is approximate, because the least H is sampled. The method is that
+    of cutting planes (Kelley, 1960): in each round, the pairs of least H at the present prices
+    become constraints of a linear program.
 
     Parameters
     ----------
@@ -713,8 +717,8 @@ def prices_of_pairs(
     list of MotionPrices
         The best prices found, for each leg.
     _Program
-        The linear program of the search; its method `bound` computes the lower bound for given
-        prices.
+        The linear program of the search; its method `bound` computes the lower bound from prices
+        and proven values of the least H.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
@@ -823,8 +827,8 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        Up to a tolerance, this value is an upper limit on the bound that any prices prove. `prices`
-        takes the unknowns.
+        No prices can prove a bound above the optimal value, up to a tolerance. The method `prices`
+        converts the unknowns into prices.
         """
         # Pairs that are not known yet could only lower the optimal value.
         limits = np.full((self.size, 2), [-inf, inf])

@@ -222,8 +222,8 @@ class GradientTable:
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
     """Return where concave functions fall to zero, by linear interpolation between samples.
 
-    There are k samples of n functions in each of m directions. The first value is positive. If all
-    values are, the result is the last argument.
+    There are n functions in each of m directions, with k samples each. The first sample of each
+    function must be positive. If all its samples are positive, the result is the last argument.
 
     Parameters
     ----------
@@ -454,8 +454,9 @@ class _Search:
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
         """Return prices with the price of time that gives the largest approximate lower bound.
 
-        The price of time (`power`) is zero on entry. It stays zero for a free duration (least below
-        half the greatest). The result is None if the prices give no bound.
+        In `prices`, the price of time (`power`) is zero. It stays zero if the duration is free: if
+        the least duration is below half the greatest. The result is None if the prices give no
+        bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())

@@ -120,8 +120,8 @@ class RunResult(Summarised):
     def gap_percent(self) -> float | None:
         """Optimality gap in per cent: 100 (energy of the plan - lower bound) / energy of the plan.
 
-        Any other flight can save at most this part. None without flights, without a bound, or if
-        the plan was made for a wind forecast.
+        Any other flight can save at most this part. None if the run has no flights, if no bound is
+        known, or if the plan was made for a wind forecast.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -254,9 +254,9 @@ def run_scenario(
 ) -> RunResult:
     """Plan a scenario, simulate and compare all flights, and compute the lower bound.
 
-    A failed solve or flight raises no exception. The run ends after `solver.time_limit`, and a
-    warning replaces each incomplete flight. On Linux, the flights run in parallel if
-    `OMP_NUM_THREADS=1`.
+    A failed solve or flight raises no exception. At the time limit (`solver.time_limit`), all
+    solves and simulations stop; a warning then replaces each unfinished flight. On Linux, the
+    flights run in parallel if `OMP_NUM_THREADS=1`.
 
     Parameters
     ----------
@@ -404,9 +404,11 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with the energy that each still needs to the exact goal state.
+    """Return the flights with their owed energy: the energy from the end to the exact goal state.
 
-    This owed energy is estimated from the flight's end state with the end costates of a plan.
+    If the scenario has a wind forecast, a plan for the actual wind is solved. The costates at its
+    end give the estimates for all flights but the plan's. Without a forecast, the flights have
+    their estimates already, and are returned unchanged.
 
     Parameters
     ----------
@@ -415,7 +417,7 @@ def _priced(
     scenario : Scenario
         Scenario of the run.
     planner : Planner
-        Solves the plan for the actual wind.
+        Solves this plan.
     progress : callable or None
         Called at each Ipopt iteration of this solve.
     """
@@ -435,8 +437,8 @@ def _adaptation(
 ) -> pd.DataFrame | None:
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    `optimum` is the flight of the plan. The result is None in calm air, without a plan, or if a
-    simulation fails.
+    `optimum` is the flight of the plan. The result is None if `optimum` is None, if the air is
+    calm, or if a simulation fails.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

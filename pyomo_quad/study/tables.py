@@ -11,8 +11,8 @@ if TYPE_CHECKING:
 class TableColumn(StrEnum):
     """Base class of enumerations of a table's columns, one member for each column, in order.
 
-    The value of a member is the heading of the column. The function `read` of a member takes the
-    object of a row, and returns its value in the column.
+    The value of a member is the heading of the column. If the rows are made from objects, the
+    function `read` of a member returns the column's value for a given object.
     """
 
     read: Callable[[Any], object]
@@ -20,8 +20,8 @@ class TableColumn(StrEnum):
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
         """Make a column of a table, with the heading `name`.
 
-        `read` takes the object of a row and returns its value in the column. It is not used for
-        rows that are given as values.
+        `read` takes the object from which a row is made, and returns the column's value. The method
+        `of_objects` calls it; `of_rows` does not.
         """
         column = str.__new__(cls, name)
         column._value_ = name

@@ -161,8 +161,8 @@ class CaseOutcome:
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
         """Make the row of a sweep's case from the result that the case solver returned.
 
-        Values that are not finite or exceed `LARGEST_OUTPUT` are dropped. Without a solution, the
-        row keeps the warm start of the case.
+        Output values that are not finite, or whose magnitude exceeds `LARGEST_OUTPUT`, are dropped.
+        If the result has no warm start, the row takes that of the task.
         """
         # JSON has no NaN, and sums and squares of larger values may overflow.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
@@ -535,8 +535,8 @@ class _Bench:
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
         """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
 
-        Without this packed `warm_start`, or if its plan is not verified, the solve uses the
-        planner's own initial guess.
+        `warm_start` is the packed solution of the parent. If it is None or damaged, or if the plan
+        solved from it is not verified, the solve starts from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

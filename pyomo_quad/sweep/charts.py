@@ -165,7 +165,7 @@ def _name_best(
 ) -> None:
     """Print a curve's name, best mission duration and least quantity as a line of text in a panel.
 
-    "At an edge" means that a neighbouring duration has no finished case.
+    "(at an edge)" is added if the next shorter or the next longer duration has no finished case.
 
     Parameters
     ----------
@@ -329,8 +329,8 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    `rows` are sorted by `field`, the direction [rad]. A last gap above 1.5 times the greatest step
-    stays open.
+    `rows` are sorted by `field`, the direction [rad]. If the gap from the last direction round to
+    the first exceeds 1.5 times the greatest step, the curve stays open.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)

@@ -37,8 +37,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     Raises
     ------
     ClusterError
-        If the scheduler cannot be reached, or pyomo_quad is missing or has another version on a
-        worker.
+        If `dask.distributed` is not installed here, the scheduler cannot be reached, or a worker
+        lacks pyomo_quad or has another version of it.
 
     Examples
     --------

@@ -223,8 +223,8 @@ def _sensitivities(
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
     """Yield the mission duration at which a quantity is least, for the report's template.
 
-    There is one item for each combination of values of the other fields that vary. A constant
-    duration has none.
+    There is one item for each combination of values of the other fields that vary. If the sweep
+    does not vary the duration, there are no items.
 
     Parameters
     ----------

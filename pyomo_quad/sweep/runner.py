@@ -222,8 +222,8 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        The solution of the case's parent is deleted when the parent's last child has ended. A lost
-        child counts as not ended.
+        The stored solution of the case's parent is deleted when all children of the parent are
+        finished or failed. It is kept if a child is lost, that is, if its worker died.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -244,8 +244,9 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        Return the keys of the descendants (children and their children), whose rows the store then
-        deletes; empty if no earlier run lost the case.
+        A run loses a case if its worker dies. Return the keys of the descendants (children, their
+        children and so on); the caller deletes their rows. If no earlier run lost the case, return
+        no keys.
         """
         if case.key not in self._lost_before:
             return []

@@ -49,9 +49,11 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies alone from the central case.
 
-    - Given values: the range of the quantity, averaged over the draws of random fields.
-    - Random values: the range of a linear least-squares fit between the 5 % and 95 % quantiles of
-      the draws, with the other random fields at their means.
+    - If the field has given values: at each value, the quantity is averaged over the draws of the
+      random fields. The range is that of the averages.
+    - If the field has random values: a linear function of all random fields is fitted by least
+      squares. The ends of the range are its values at the 5 % and 95 % quantiles of the field's
+      draws, with the other random fields at their means.
 
     Attributes
     ----------

@@ -32,7 +32,9 @@ WATCH_SECONDS = 2.0
 class ClusterError(PyomoQuadError, RuntimeError):
     """Error: a Dask cluster cannot be used, or was lost during a sweep.
 
-    Each worker needs the version of pyomo_quad of this machine, which needs `dask.distributed`.
+    This machine needs the package `dask.distributed`. Each worker needs the same version of
+    pyomo_quad as this machine.
+
     Results of cases that finished before the error remain in the result store.
     """
 

@@ -75,8 +75,8 @@ class PowerBand:
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
         """Return each cause with its mean relative effect on the power, the largest effect first.
 
-        At one airspeed, the effect is abs(high - low) / (2 power), from both ends of the cause's
-        range.
+        The effect at one airspeed is abs(high - low) / (2 power). `low` and `high` are the powers
+        at the two ends of the cause's range.
         """
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes

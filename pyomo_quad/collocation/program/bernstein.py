@@ -48,8 +48,8 @@ class BernsteinRule:
         Matrix from the variable's values in the element to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
         Matrix from the variable's values in the element to the values of its polynomial at the
-        abscissae of the coefficients. With those of the coefficients left out, the abscissae are
-        equidistant from 0 to 1.
+        abscissae of the coefficients. The abscissa of coefficient k is k / (n_values - 1); here k
+        counts all coefficients from 0, including those that are left out.
     """
 
     coefficients: FloatArray
@@ -248,9 +248,9 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
     """Return whether a variable's trajectory in one element is near one of its bounds.
 
-    A Bernstein coefficient in `values` must violate a bound, or be closer to it than a margin. The
-    margin is 0.45 times the distance between both bounds. For a single bound it is 0.45 max(1,
-    abs(bound)).
+    `values` are the variable's Bernstein coefficients in the element. The result is True if one of
+    them violates a bound, or is closer to it than a margin. The margin is 0.45 (high - low), or
+    0.45 max(1, abs(bound)) if there is only one bound.
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:

@@ -368,8 +368,9 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, on which the scaling of its unknowns depends.
 
-    A scaling factor in the Pyomo model gives 1 / factor. Otherwise the magnitude is the largest
-    absolute value among values and bounds below 1e6, or 1 if all are zero.
+    If the Pyomo model has a scaling factor for the variable, the magnitude is 1 / factor. Otherwise
+    it is the largest absolute value among the variable's values in `z` and its bounds, or 1 if all
+    are zero. Bounds of 1e6 or more are ignored.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -454,8 +455,8 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
     """Return whether a program's equations are linear and have no solution.
 
-    The equations are the constraints with equal bounds. They are linearised at the unknowns `z`. A
-    least-squares step of the unknowns with unequal bounds minimises their residuals.
+    The equations are the constraints with equal bounds. They are linearised at `z`. A least-squares
+    step of the free unknowns then minimises the residuals of the equations.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))

@@ -353,7 +353,7 @@ class TableArguments:
     """Arguments of the interpolation tables in a model, with functions for the arguments' values.
 
     The values show whether a solution evaluates a table outside the range of its data. A `TableUse`
-    is one argument of a table in one equation, as an expression with the table's range.
+    holds one argument of a table in one equation, and the range of the table's data.
 
     Attributes
     ----------
@@ -501,7 +501,7 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    The declarations are changed before:
+    Before they are compiled, the declarations are changed as follows:
 
     - Output states, which affect nothing else, are left out of the program, unless the objective is
       constant.
@@ -795,7 +795,7 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of the unknowns that a condition on a single unknown may bound.
+    """Return the names of unknowns for which a condition on a single unknown becomes a bound.
 
     These are states at declared times, and static variables (variables without time).
     """
@@ -814,8 +814,8 @@ def _is_static(declared: Declarations, name: str) -> bool:
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, with a static variable for some of the integrals.
 
-    A static variable replaces an integral that enters a condition or a nonlinear term of the
-    objective. A constraint, a single dense row, makes both equal.
+    If an integral enters a condition or a nonlinear term of the objective, a static variable
+    replaces it. A constraint makes the variable equal to the integral.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(

@@ -1,10 +1,12 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-Each continuous set of the model is a horizon. Its nonlinear program has the constraints over the
-set, and those on values at single times of this set alone. The objective and all other constraints
-form the coupling. The coupling treats integrals and values at declared times in three ways:
+Each continuous set of the model is a horizon. The nonlinear program of a horizon has the
+constraints that contain variables of this horizon, but of no other. The objective and all other
+constraints form the coupling. Integrals over a horizon and values at declared times enter the
+coupling as follows:
 
-- An integral that enters only the objective, linearly, moves into the objective of the horizon.
+- An integral that enters only the objective, and linearly, is left out: it moves into the objective
+  of the horizon.
 - A static variable (variable without time) replaces the value of a state. Both are one unknown of
   the joint program.
 - A static variable replaces any other integral or value. A constraint of the horizon makes both
@@ -119,8 +121,9 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        A value of one horizon at a single time gets the symbol of a static variable that equals it.
-        Without time, `data` has its own symbol.
+        If `data` is a value of a horizon at a single time, such as ``x[1]``, the result is the
+        symbol of the static variable that replaces it. If `data` has no time, the result is its own
+        symbol.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -151,8 +154,8 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        This is a time-dependent parameter at a single time. In a constraint, it is also any value
-        at an interior time of a horizon.
+        A time-dependent parameter at a single time must not appear at all. Any other value at an
+        interior time of a horizon may appear in the objective, but in no constraint.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -171,8 +174,8 @@ class CouplingWriter(TemplateWriter):
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, or None.
 
-        Symbols replace the integrals over the horizons. Any other named expression gives None, and
-        is translated like an unnamed expression.
+        An integral over a horizon is replaced by a symbol. For any other named expression, the
+        result is None, and the writer translates the expression like an unnamed one.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:

@@ -36,17 +36,18 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    An equality defines a variable that enters with a constant coefficient. It must contain no other
-    such variable that is still undefined. For example, ``k == exp(-1 / x)`` defines k, but not x.
-    If y is a state, ``p - q == y`` defines p once another equation defines q.
+    An equality defines a variable that enters with a constant coefficient, if no other undefined
+    algebraic variable enters so. For example, ``k == exp(-1 / x)`` defines k, but not x. If y is a
+    state, ``p - q == y`` defines p once another equation defines q.
 
     Parameters
     ----------
     program : Transcription
         Nonlinear program on one mesh.
     z : ndarray, shape (n_unknowns,)
-        Unknowns of the program. A coefficient counts as constant if it has the same value at all
-        collocation points, and keeps this value when all variables are changed.
+        Unknowns of the program, at which coefficients are evaluated. A coefficient counts as
+        constant if it has the same value at all collocation points, and keeps this value when all
+        variables are changed.
     among : iterable of int, optional
         Indices (among all algebraic variables) of the variables that may be defined; all by
         default. Any other algebraic variable counts as already defined.

@@ -151,7 +151,7 @@ def run_without_far_rows(
     Parameters
     ----------
     run : callable
-        Solves a program; a function such as `program.ipopt.run`, with its arguments.
+        Function that solves a program. It takes the same arguments as `program.ipopt.run`.
     program, bounds, scaling, start, multipliers
         Arguments of `run`.
     **settings

@@ -145,8 +145,8 @@ class SolverOptions:
     def suiting(self, tolerance: float) -> SolverOptions:
         """Return settings whose Ipopt tolerance suits the tolerance of the mesh refinement.
 
-        Ipopt's option `tol` is set to 1e-3 times the given tolerance, limited to 1e-11 to 1e-9. A
-        value that the caller has set remains.
+        Ipopt's option `tol` becomes ``1e-3 * tolerance``, but at least 1e-11 and at most 1e-9. If
+        the caller has set a value, it remains.
 
         Parameters
         ----------
@@ -170,10 +170,10 @@ class SolverOptions:
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
-        """Return the settings for models whose equations hold a variable at a bound for some time.
+        """Return settings for models in which an equation holds a variable at a bound for a while.
 
-        An example is a prescribed full thrust at the upper bound of the thrust. Ipopt relaxes all
-        bounds slightly, and projects the solution back onto the original bounds.
+        An example is an equation that prescribes full thrust. Ipopt solves the program with all
+        bounds slightly relaxed, and then projects the solution onto the original bounds.
         """
         # Equation and bound together leave the feasible set without an interior. Without the
         # relaxation, the multipliers diverge, and a warm start from them is slower than a solve
@@ -184,16 +184,16 @@ class SolverOptions:
     def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        `StartDistance` defines the central path. If many trajectories have nearly the same cost,
-        their controls change less from mesh to mesh at such a point: see docs/theory/refinement.md,
-        "The barrier's role".
+        `StartDistance` defines the central path. The solve ends at a positive barrier parameter.
+        If many trajectories have nearly the same cost, the controls then change less from mesh to
+        mesh: see docs/theory/refinement.md, "The barrier's role".
 
         Parameters
         ----------
         parameter : float
             Final barrier parameter (Ipopt's `mu_target`), for the scaled objective.
         distance : StartDistance
-            Expected distance of the start from the given point.
+            Expected distance of the start from the point at which the solve ends.
         """
         begun, chosen = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
         # With `NONE`, variables that start on their bounds practically stay there.
@@ -218,6 +218,7 @@ class SolverOptions:
             Expected change of the scaled objective.
         sides : int
             Number of inequality bounds of the program (lower and upper bounds that are not equal).
+            The initial barrier parameter is derived from ``change / sides``.
         """
         # The barrier changes the objective by about the barrier parameter times `sides`. With a
         # parameter above ``change / sides``, the iterates would first move away from the warm start
@@ -236,7 +237,7 @@ class SolverOptions:
         return replace(self, extra=(("mu_init", begun), *inside, *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
-        """Return the settings for warm starts after which limits may become active at other times.
+        """Return settings for a warm start if limits may become active at other times than before.
 
         A limit is a bound of a variable or constraint. The settings move the start slightly inside
         the bounds.
@@ -249,8 +250,8 @@ class SolverOptions:
     def for_other_limits(self) -> SolverOptions:
         """Return the settings for a warm start from the solution of a problem with other limits.
 
-        The start may violate limits of the new problem. Ipopt moves it well inside the new limits,
-        and begins with a larger barrier parameter than in other warm starts.
+        The start may violate limits of the new problem. Ipopt moves it well inside the new limits.
+        The initial barrier parameter is 1e-5, instead of 1e-7 by default.
         """
         # With these settings, Ipopt needs fewer iterations to leave the limits that were active
         # before.
@@ -280,8 +281,8 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
 
-        The start is the solution on the previous mesh. The settings move it inside its bounds, and
-        choose a smaller initial barrier parameter than in other warm starts.
+        The start is the solution on the previous mesh. The settings move it inside its bounds. The
+        initial barrier parameter is 1e-10, instead of 1e-7 by default.
         """
         # With a larger parameter, controls that hardly affect the objective would drift away from
         # their values on the previous mesh. The parameter was tested on a flight of 1 km against
@@ -783,8 +784,8 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    `barrier_gap` returns the gap. Each of at most two repetitions has a larger factor of the
-    objective.
+    `barrier_gap` returns the gap. There are at most two repetitions. Each of them scales the
+    objective by a larger factor, so that Ipopt ends at a smaller gap.
 
     Parameters
     ----------
@@ -792,7 +793,8 @@ def run_past_the_barrier(
         The nonlinear program with the bounds of its unknowns and constraints, its scaling factors,
         and the initial point.
     size : callable
-        Unknowns -> magnitude of the objective, for example `Transcription.objective_size`.
+        Unknowns -> magnitude of the objective, for example `Transcription.objective_size`. The gap
+        is compared with this magnitude.
     options : SolverOptions
     multipliers : Multipliers, optional
         Initial multipliers of a warm start.

@@ -71,8 +71,8 @@ def _candidates(
 ) -> Iterator[Candidate]:
     """Yield the equality conditions that may turn out to be redundant, in a fixed order.
 
-    A condition is a constraint, or a fixed value, at declared times. Fixed single states at the
-    start of the horizon are not yielded.
+    A condition is a constraint or a fixed value at declared times. Initial values are not yielded:
+    these are fixed values of single states at the start of the horizon.
 
     Parameters
     ----------

@@ -1,13 +1,13 @@
-"""Common subexpressions of equations and derivatives, found without writing out data of tables.
+"""Merging of equal terms in equations and derivatives, without writing out data of tables.
 
 CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
 than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
 last bit. It would, however, write out the whole table of each call of an interpolation table. This
 takes a second for a table of a million numbers.
 
-Symbols therefore replace the calls while equal terms are merged. Differentiation treats these
-symbols as constants: they are Taylor coefficients, which count as constant (see
-`collocation.reading.local_splines`).
+Symbols therefore replace the results of these calls while equal terms are merged. Differentiation
+treats the symbols as constants. This is correct, because the results are Taylor coefficients, which
+count as constants (see `collocation.reading.local_splines`).
 """
 
 from __future__ import annotations

@@ -87,8 +87,8 @@ class Layout:
     def state_column(self, name: str, fraction: float) -> int:
         """Return the position, among the unknowns, of a state at the node nearest to a given time.
 
-        `fraction` is the time as a fraction of the horizon. The result is -1 without time, or
-        without a state called `name`.
+        `fraction` is the time as a fraction of the horizon. The result is -1 if the model has no
+        time, or no state called `name`.
         """
         states = [slot.name for slot in self.declared.states]
         if self.mesh is None or name not in states:
@@ -164,20 +164,21 @@ class Layout:
 
     @cached_property
     def condition_variables(self) -> csr_matrix:
-        """Matrix from the unknowns to values at declared times and static variables (without time).
+        """Matrix that maps the unknowns to all variables of conditions and objective.
 
-        The rows are those of `point_values`, then one per static variable. There is one column per
-        unknown.
+        The first rows are those of `point_values`. Then follows one row per static variable
+        (variable without time). There is one column per unknown.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix that maps the unknowns to values at declared times in conditions and objective.
+        """Matrix from the unknowns to the values at declared times that the model refers to.
 
-        Conditions are constraints at these times (members of the continuous set). There is one row
-        per value, and one column per unknown.
+        Conditions (constraints at declared times) and the objective contain these values. Declared
+        times are the members of the continuous set. There is one row per value, and one column per
+        unknown.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -381,8 +382,8 @@ class JacobianScatter:
     """Assembly of the constraints' Jacobian and objective's gradient from derivatives at points.
 
     The inputs of the linear maps are called sources; `jacobian_scatter` gives their order. A direct
-    integral is one that appears in the objective itself. A static variable (without time)
-    represents any other integral there.
+    integral appears in the objective itself. For any other integral, a constraint makes a static
+    variable (a variable without time) equal to the integral.
 
     Attributes
     ----------
@@ -394,9 +395,8 @@ class JacobianScatter:
     integrals : tuple of Scatter
         For each direct integral: linear map from the sources to the gradient of the integral.
     slope_sources : ndarray of int
-        Positions of the derivatives of the objective with respect to direct integrals. Derivatives
-        that are always zero are omitted. The positions are counted from the first source of
-        conditions and objective.
+        Positions of the derivatives of the objective with respect to direct integrals, in the
+        argument of `objective_slopes`. Derivatives that are always zero have no position.
     slope_integrals : ndarray of int
         For each derivative in `slope_sources`, the position of its integral among the direct
         integrals.

@@ -1,9 +1,9 @@
 """Declared times of a horizon, the free times among them, and the phases between free times.
 
 A declared time is a member of the model's continuous set, at which the model can state conditions.
-Usually it is itself the physical time. It is free if a static variable (a variable without time)
-gives its physical time, which the solve determines. The free times inside the horizon divide it
-into phases.
+Usually, its value is the physical time. A declared time is free if the solve determines its
+physical time, as the value of a static variable (a variable without time). The free times inside
+the horizon divide it into phases.
 
 The fraction of the horizon is 0 at the first and 1 at the last declared time. Within a phase,
 physical time is a linear function of this fraction.
@@ -109,8 +109,8 @@ class PhaseTimes:
     def span(self) -> Any:
         """Derivative of physical time with respect to the fraction of the horizon.
 
-        The CasADi expression contains the free times, and the symbols of the phases, so that it
-        holds at all times.
+        The result is a single CasADi expression for all phases. It contains the free times, and the
+        symbols that tell which phase a time belongs to.
         """
         return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 

@@ -83,8 +83,9 @@ class WorkingCopy:
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this working copy (a horizon, or the coupling).
 
-        A constraint without time belongs to the horizon of its variables and parameters over time
-        if that is a single one, else to the coupling.
+        A constraint over time belongs to the horizon of its continuous set. A constraint without
+        time belongs to a horizon if all its time-dependent variables and parameters do. If they
+        belong to several horizons, or if it has none, it belongs to the coupling.
 
         Parameters
         ----------

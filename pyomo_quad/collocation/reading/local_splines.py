@@ -210,7 +210,8 @@ def _weights(count: int, cells: int, degree: int) -> Any:
     count : int
         Number of axes of the spline.
     cells : int
-        Number of leading axes with powers as factors. The other axes have B-spline basis functions.
+        Number of axes, counted from the first, whose factors are powers. The factors of the other
+        axes are B-spline basis functions.
     degree : int
         Degree of the spline along every axis.
 
@@ -242,8 +243,8 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
     """Sum the terms of a spline's value and derivatives along some axes.
 
-    The module's docstring gives the terms. In those of a derivative, derivatives of the factors
-    take the place of the factors.
+    The module's docstring gives the terms of the value. For a derivative along an axis, the
+    derivative of the factor of this axis replaces the factor.
 
     Parameters
     ----------

@@ -134,11 +134,10 @@ class RelationReader:
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
         """Raise an error for a constraint without a rule if its members differ in time only.
 
-        `instances` are the members of the constraint `component`, one at each declared time (member
-        of the continuous set).
+        The constraint is probably meant for all times. `instances` are its members, one at each
+        declared time (member of the continuous set).
         """
-        # Such a constraint is probably meant for all times, but without a rule it can only be
-        # imposed at the declared times.
+        # Without a rule, the constraint can only be imposed at the declared times.
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
                 f"{component.name}: is the same at every declared time, but has no rule for the "
@@ -148,7 +147,8 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that repeats one constraint at all declared times.
 
-        The list must have one member per declared time, with algebraic variables over time only.
+        A list is checked only if it has one member per declared time, and contains no variables
+        except algebraic variables over time.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -210,10 +210,14 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that a constraint's members at start and end add to its equation.
+        """Return a constraint's members at start and end that its equation does not impose.
 
         `equation` is the constraint as an equation over time. `instances` has its members at
         declared times.
+
+        - The member at the start is returned if it contains states, but no rates or algebraic
+          variables. It is left out if all its variables are fixed and satisfy it.
+        - The member at the end is returned if it differs from the equation.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
@@ -575,8 +579,8 @@ class ModelReader:
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
         """Return the algebraic variables that the model uses, by name.
 
-        They appear in an equation over time or an integrand, or in `points`: the symbols of the
-        values at single times in conditions and objective.
+        They appear in an equation over time, in an integrand, or in `points`. These are the symbols
+        of the values at single times that conditions and objective contain.
         """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]

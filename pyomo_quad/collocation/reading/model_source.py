@@ -206,8 +206,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The function raises a `TranscriptionError` where the rule fails. The result is None without
-        a rule, or if the model's values are no longer those of the rule.
+        The function raises a `TranscriptionError` where the rule fails. The result is None if there
+        is no rule, or if the model's values differ from those of the rule.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -420,8 +420,8 @@ class LiveModel:
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant`: polynomials that can be pickled.
 
-        The polynomials extend over `horizon`. Jumps are searched between the times `asked`, in
-        rising order. A failed approximation gives a message with the reason instead.
+        The polynomials extend over `horizon`. Jumps are searched between neighbouring times of
+        `asked`, which rise. If the approximation fails, the result has a message instead.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -483,10 +483,8 @@ class ModelSnapshot:
     guesses : dict
         Name of a variable -> its `initialize` rule, as a function of time.
     schedules : tuple of Interpolant
-        Functions of time, one for each `Schedule` or `Phases` object of the `LiveModel`. For a rule
-        that branches on time, the function gives the branch that applies and the numbers in it. For
-        a horizon with free times (times that the solve determines), it gives the phase that
-        contains a time.
+        For each `Schedule` or `Phases` object of the `LiveModel`: the values that its method `row`
+        returns, as functions of time.
     """
 
     times: tuple[float, ...]
@@ -555,8 +553,9 @@ class ModelSnapshot:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of the function `signal` at a time as a `Reading`, for the function `jumps`.
+    """Return the value of the function `signal` at a time as a `Reading`.
 
-    The value is the only number of the `Reading`, and the key is None.
+    The function `jumps` requires this form. The value is the only number of the `Reading`, and the
+    key is None.
     """
     return Reading(None, (signal(time),))

@@ -280,8 +280,9 @@ class Schedule:
     def row(self, time: float) -> list[float]:
         """Return the values, at one time, of the data that the compiled forms read.
 
-        They have the order of `slots`. The factor of a form is 1 if the form applies, else 0. If
-        there are several forms, the last has no factor. It applies if all factors are 0.
+        The order is that of `slots`: first the factors, then the numbers. The factor of a form is 1
+        if the form applies at the time, else 0. If there are several forms, the last one has no
+        factor. It applies if all factors are 0.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
@@ -337,10 +338,10 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Replace the bodies of forms without bounds by the body of the first form with bounds.
+        """Give forms in which the rule skips the constraint the body of the first other form.
 
-        `forms` has lower bound, body and upper bound of each form. It is changed in place, unless
-        the new body is nonlinear.
+        The method `written` can then use this body at all times. `forms` has lower bound, body and
+        upper bound of each form. It is changed in place, unless the new body is nonlinear.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -368,7 +369,7 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return the phase at a time as a `Reading`, for the function `jumps`.
+        """Return the phase at a time as a `Reading`, the form that the function `jumps` requires.
 
         The key is the index of the phase, and there are no numbers. `time` is in the range of the
         continuous set.
@@ -493,8 +494,9 @@ def _steps(
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     """Return the fraction of the horizon at which parameters are evaluated for a given fraction.
 
-    The result is just before a jump at `fraction`, and slightly inside the horizon for 0 and 1.
-    `jumps_at` are the fractions at which parameters jump, in rising order.
+    If parameters jump at `fraction`, the result is just before the jump. If `fraction` is 0 or 1,
+    the result is slightly inside the horizon. Otherwise, it is `fraction` itself. `jumps_at` are
+    the fractions at which parameters jump, in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -603,7 +605,7 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the values at a time as a `Reading`, for the function `jumps`.
+        """Return the values at a time as a `Reading`, the form that the function `jumps` requires.
 
         The numbers are the values of all interpolated functions. The key is the same at all times.
         """

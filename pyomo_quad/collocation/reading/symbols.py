@@ -162,8 +162,8 @@ for _operation in (
 class Instant(float):
     """Time that a rule receives; used as an index, it selects variables at the template time.
 
-    In arithmetic, each instant is another number. All results of a rule that branches on time
-    therefore contain the same variables.
+    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. The rule can thus
+    be called with many times, and all its results refer to variables at the template time.
     """
 
     __slots__ = ("template",)
@@ -196,9 +196,10 @@ RegisterNumericType(Instant)
 
 
 class _TrapezoidProbe:
-    """Stand-in for a block, in which the continuous set consists of two equal times.
+    """Stand-in for the block of an integral: its continuous set consists of two equal times.
 
-    With it as its block, the rule of a `pyomo.dae.Integral` returns the integrand: see `integrand`.
+    The rule of a `pyomo.dae.Integral` sums trapezoids between the times of the set. Called with
+    this stand-in, the rule returns the integrand: see `integrand`.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -235,10 +236,10 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     index : index of the integral, or None
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time: a `TimeSymbol` stands for any time, and an `Instant` is a number. It appears in
-        the result wherever the integrand contains the time itself. The template time is an interior
-        time that was added to the continuous set. As an index, both objects equal the template
-        time. The variables in the result are therefore the members at the template time.
+        The time: a `TimeSymbol` stands for any time, and an `Instant` for one time. As an index, it
+        equals the template time, an interior time that was added to the continuous set. The result
+        therefore contains the variables at the template time. The time itself becomes a parameter
+        for a `TimeSymbol`, and a number for an `Instant`.
     """
     # `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. The
     # rule is called for a single trapezoid: both ends are `symbol`, and its width is defined as 1.
@@ -400,7 +401,7 @@ class Slot:
         """Return a copy of the variable, with its magnitude for scaling from a mapping.
 
         `magnitudes` has magnitudes by name of a variable or, with lower priority, of a component.
-        The magnitude is None without either name.
+        The magnitude is None if `magnitudes` has neither name.
         """
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
@@ -738,8 +739,8 @@ class SymbolTable:
     def _signal(self, data: Any, address: Any) -> Any:
         """Return the symbol of a parameter over time, or of its value at one time.
 
-        A member at the template time stands for the function of time. If the parameter is time
-        itself, the result is the expression of physical time.
+        A member at the template time stands for the function of time. If the rule of the parameter
+        returns just its time, the result is the expression of physical time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)

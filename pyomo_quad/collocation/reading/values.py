@@ -239,8 +239,9 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent data may jump.
 
-        They rise, and belong to the interior declared times, and to jumps of parameters and of
-        rules' results. Jumps of parameters given as `Steps` are not searched.
+        These are the declared times inside the horizon, and the times at which parameters or
+        results of rules jump. Jumps of parameters given as `Steps` are left out. The fractions
+        rise.
         """
         if not self._declared.has_signals:
             return ()
@@ -259,8 +260,8 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        The range is `horizon`, or that of the continuous set with free times. The method also
-        records the union of all its results.
+        If the model has free times, this is the range of the continuous set, else `horizon`. The
+        method also records the smallest range that contains all ranges returned so far.
         """
         # With free times, the physical times are unknown.
         found = self.declared_horizon if self._declared.clock.is_free else horizon
@@ -332,8 +333,8 @@ class ModelValues:
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
         """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        The result is None without a rule, if the model's values differ from the rule's, or if the
-        rule fails or is not finite at one of the fractions.
+        The result is None if there is no rule, or if the model's values differ from those of the
+        rule. It is also None if the rule fails or is not finite at one of the fractions.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)

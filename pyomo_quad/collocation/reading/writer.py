@@ -273,11 +273,10 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Objects that compute data over time for which there is no CasADi expression. A `Schedule`
-        serves a rule that branches on time or looks up numbers by time. It gives the branch that
-        the rule takes, and the numbers in the branch. A `Phases` object serves a horizon that free
-        times (times that the solve determines) divide into phases. It gives the phase that contains
-        a time.
+        Objects that compute data over time for which there is no CasADi expression. There is a
+        `Schedule` for each rule that branches on time or looks up numbers by time. If free times
+        (times that the solve determines) divide the horizon into phases, there is also one
+        `Phases` object.
     """
 
     def __init__(
@@ -386,13 +385,14 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return a variable's bounds for all times, if a user changed the bounds after declaration.
 
-        The result is None if a member keeps its declared bounds. It is also None for a state
-        without a fixed member if the new bounds differ: they apply at the declared times only.
-
         Returns
         -------
         (lower, upper) or None
-            Bounds that apply at all times, or None.
+            Bounds that apply at all times. None if any changed bounds apply at single declared
+            times only. This is so in two cases:
+
+            - A member of the variable keeps its declared bounds.
+            - The variable is a state, no member is fixed, and the members' bounds differ.
 
         Raises
         ------
@@ -518,8 +518,8 @@ class TemplateWriter:
     def at_instant(self, data: Any) -> Any:
         """Return a constraint's member at a declared time, with the physical time as a symbol.
 
-        The symbol replaces the number in a rule such as ``m.x[t] == t``. A member whose physical
-        time is not free is returned unchanged.
+        The symbol replaces the number in a rule such as ``m.x[t] == t``. The member is returned
+        unchanged if it has no rule, or if its physical time depends on no free time.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock

@@ -41,7 +41,8 @@ def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit on controls switches.
 
     A limit on controls contains algebraic variables only. It switches where it becomes active or
-    inactive, except at element boundaries that the problem itself requires.
+    inactive. Switches at element boundaries that the problem itself requires are not counted. An
+    element is left out if a limit on a state or rate also switches in or beside it.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     # A costate may jump where a limit on a state or a rate (time derivative of a state) switches.
@@ -88,8 +89,8 @@ def _changing(
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
     """Return for each element boundary of the mesh whether the problem requires it.
 
-    Required are start and end of the horizon, and the times of constraints at a single time, of
-    fixed values, and of jumps of parameters. The shape is (n_elements + 1,).
+    The start and the end of the horizon are required. So is every time at which a condition is
+    imposed, a variable is fixed, or a parameter jumps. The shape is (n_elements + 1,).
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)

@@ -33,8 +33,8 @@ _FAR = 1e-2
 class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
-    The smoothed controls are straight lines between the means over each element, or, if `is_still`,
-    polynomials of low degree in each element.
+    A smoothed control consists of straight lines between its means over the elements. If `is_still`
+    is True, it is instead a polynomial of low degree in each element.
 
     Attributes
     ----------
@@ -75,8 +75,8 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor` and `is_still` set.
 
-        Its attribute `gap` is the larger of the present one, and the argument `gap` times the
-        nominal magnitude of the objective.
+        The attribute `gap` of the result is ``max(self.gap, gap * nominal)``, where ``nominal`` is
+        the nominal magnitude of the objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -168,8 +168,8 @@ def damping_of(
     solution : Solution
         Solution on the previous mesh.
     weight : float
-        Size of the penalty. It is the penalty on a control that always differs from the smoothed
-        control by its whole range, as a fraction of the objective.
+        Size of the penalty. It is ``weight * nominal magnitude of the objective`` for a control
+        that always differs from the smoothed control by its whole range.
     gap : float, optional
         Complementarity gap at which Ipopt is to stop on the next mesh, as a fraction of the
         objective; zero for Ipopt's usual end. The gap is the sum over all limits of multiplier

@@ -412,10 +412,10 @@ def _panelled_places(degree: int) -> FloatArray:
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the state errors, with algebraic variables taken from their polynomials.
+    """Return the state errors if algebraic variables are evaluated by their polynomials.
 
-    `estimate_error` takes algebraic variables from the equations that define them, and does not see
-    an error of their polynomials between the collocation points.
+    If an equation defines an algebraic variable, `estimate_error` evaluates the variable by this
+    equation instead. It does not see an error of the polynomial between the collocation points.
 
     Returns
     -------
@@ -617,10 +617,10 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Extrapolate the error of each element to the whole horizon, for errors that add up.
+    """Return for each element ``min(n * error, sum of the errors of all n elements)``.
 
-    `shares` has one entry per element along the first axis. The class `ErrorEstimate` gives the
-    formula.
+    This extrapolates the error of an element to the whole horizon, if the errors of the elements
+    add up. `shares` has the errors, with one entry per element along the first axis.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -704,10 +704,12 @@ def _breaches(
 
     The measure of a violation is:
 
-    - for an equation: its relative residual, times `weight`;
+    - for an equation: its relative residual times `weight`;
     - for a limit on controls alone: the violation times the width of the element;
-    - for any other limit: the effect on the objective, by the multipliers of bounds on states;
-    - for a limit that is violated by more than its tolerance: the violation itself.
+    - for any other limit: the violation times the multipliers of the bounds on states, relative to
+      the objective.
+
+    If a limit is violated by more than its tolerance in `allowance`, the violation itself counts.
 
     Parameters
     ----------
@@ -720,8 +722,7 @@ def _breaches(
         limits.
     weight : float
         Factor on the relative residuals of equations. It is 1 if `allowance` has no tolerance on
-        the states. Otherwise, the factor is smaller for a larger tolerance on the states, which
-        allows larger residuals.
+        the states. Otherwise, it is the smaller, the larger this tolerance is.
     """
     mesh = solution.mesh
     residuals, limits, controls = (

@@ -242,11 +242,12 @@ def state_error(
 
     - the largest estimated error of the solution;
     - the errors of a state, added over all elements and doubled;
-    - with a singular arc: the state error of docs/theory/refinement.md, eq. (11), where delta is
-      the larger of `change` and the largest estimated error;
-    - with `before`: the largest relative violation of a limit on states or rates between the
+    - if there is a singular arc: the state error of docs/theory/refinement.md, eq. (11), where
+      delta is the larger of `change` and the largest estimated error;
+    - if `before` is given: the largest relative violation of a limit on states or rates between the
       collocation points, and the effect of controls that jump at a wrong time;
-    - with `before`, without a singular arc: the change of the states since the previous mesh.
+    - if `before` is given and there is no singular arc: the change of the states since the previous
+      mesh.
 
     Parameters
     ----------
@@ -294,10 +295,10 @@ def state_error(
 def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc: 0 without singular arc, 1, or 2 for order 2 and higher.
 
-    On a singular arc a control lies between its limits, and the second derivative of the
-    Hamiltonian along the control and the rates that it moves is zero. At order 1, the second
-    derivative along the direction in which the states then move is not zero (Robbins 1967; Kelley,
-    Kopp and Moyer 1967).
+    On a singular arc, a control lies between its limits. A change of the control also changes
+    rates. Along this joint change, the second derivative of the Hamiltonian is zero. The changed
+    rates move the states. At order 1, a second derivative along this motion of the states is not
+    zero (Robbins 1967; Kelley, Kopp and Moyer 1967).
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics

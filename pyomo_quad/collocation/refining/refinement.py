@@ -262,10 +262,11 @@ class _Refinement(Generic[S]):
         )
 
     def _restarted(self, accepted: S) -> S | None:
-        """Restart the refinement if controls exist that are better by Pontryagin's principle.
+        """Restart the refinement if Pontryagin's principle shows better controls than `accepted`.
 
-        The result is None after a restart. Otherwise it is the better of two solutions: `accepted`,
-        which meets the tolerance, and the solution before the previous restart.
+        The result is None if the refinement was restarted. Otherwise it is the final solution:
+        either `accepted`, which meets the tolerance, or the solution kept at the previous restart
+        if that is better. `_doubted` marks the result if no further restart is allowed.
         """
         # A further restart requires that the previous one improved the objective by more than the
         # tolerance. The rule makes the restarts end. Singular controls need it: their Hamiltonian
@@ -339,8 +340,10 @@ class _Refinement(Generic[S]):
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
         """Return for each horizon the damping of the controls towards the solution in `parts`.
 
-        `how` has optional arguments of `damping_of`: `gap`, at which the next solve may stop, and
-        `is_still`, true if the objective is settled.
+        `how` has optional arguments of the function `damping_of`:
+
+        - `gap`: complementarity gap at which the next solve may stop.
+        - `is_still`: True if the objective is settled.
         """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
@@ -364,7 +367,7 @@ class _Refinement(Generic[S]):
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
         """Return the error estimate of a solution on each horizon.
 
-        With several horizons, the complementarity gap is 0 in each estimate.
+        If there are several horizons, the complementarity gap is set to 0 in each estimate.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
@@ -607,7 +610,8 @@ def _is_limited_by_the_barrier(
     The result is true if all of these conditions hold:
 
     - The solution has converged.
-    - The error of every element is at most `fine`, without the attributes `switches` and `costs`.
+    - The error of every element is at most `fine`. The errors `switches` and `costs` of the
+      estimate are not counted.
     - The relative complementarity gap exceeds `tolerance`, or the scaled objective is too small to
       influence Ipopt's convergence test.
 
@@ -690,8 +694,8 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    It is `ended`, the last solution, or after a restart the solution from before the restart. If
-    the optimality of the latter is in doubt, status and message say so.
+    If the refinement was never restarted, the result is `ended`. Otherwise the result is the
+    solution in `reached`. If the optimality of this solution is in doubt, `_doubted` marks it.
 
     Parameters
     ----------
@@ -712,10 +716,11 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the result of a refinement that stops after a restart, above its tolerance.
+    """Return the result of a refinement that was restarted and then stopped above its tolerance.
 
-    It is the solution from before the restart, marked by `_doubted`. Its estimated error is at
-    least the improvement by the previous restart.
+    The result is the solution from before the restart, marked by `_doubted`. Its error becomes
+    max(its own estimate, `reached.earned`), where `earned` is the improvement of the objective by
+    the restart before that.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -745,8 +750,9 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the least relative change of the objective from earlier meshes to the last mesh.
 
-    The last objective is compared with that of the mesh before, and of each earlier mesh whose
-    error is at most `tolerance`. The result is infinite on the first mesh.
+    The earlier meshes are the previous mesh, and each mesh before it whose error is at most
+    `tolerance`. The smallest difference of the objective is divided by
+    `Solution.nominal_objective`. The result is infinite on the first mesh.
     """
     *before, now = solution.history
     # The objective on the mesh before the last may be inaccurate, so earlier meshes count too.

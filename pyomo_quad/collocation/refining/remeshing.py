@@ -84,9 +84,14 @@ class RefinementOptions:
     def breach_between_points(self) -> float:
         """Largest relative violation of a bound that is allowed between the collocation points.
 
-        It is relative to max(1, abs(bound)). If `limits_move` is true and `allowance` has no
-        `state_error`, the value is half of the smaller breach in `allowance`, if positive.
-        Otherwise it is infinite: bounds are imposed at the points only.
+        It is relative to max(1, abs(bound)). The value b / 2, with b = min(control_breach,
+        limit_breach) of `allowance`, is used if all of these conditions hold:
+
+        - `limits_move` is true.
+        - `allowance.state_error` is None.
+        - b is positive.
+
+        Otherwise the value is infinite: bounds are imposed at the points only.
         """
         # A later simulation then corrects the controls by feedback, and reveals violations between
         # the points. Bounds between the points would be superfluous.
@@ -275,8 +280,9 @@ def _lowered(
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     """Return the times of the control switches that the next mesh isolates in narrow elements.
 
-    The switch of an element is its only kink, or otherwise the jump of a bounded control. Kinks
-    count only if `marks.are_kinked` is true.
+    If an element has exactly one kink of a control, its switch is this kink. Otherwise, its switch
+    is the jump of a bounded control, if there is one. If `marks.are_kinked` is false, kinks are
+    ignored.
 
     Parameters
     ----------
@@ -305,8 +311,9 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Return the elements into which an element with a jump or kink of a control is split.
 
-    A sliver, a narrow element of degree 1, encloses the jump or kink. Near an end of the element,
-    it extends to that end. See docs/theory/refinement.md, eq. (8).
+    The jump or kink is enclosed in a sliver: a narrow element of degree 1. If the jump or kink is
+    near an end of the element, the sliver extends to that end. See docs/theory/refinement.md, eq.
+    (8).
 
     Parameters
     ----------
@@ -343,9 +350,9 @@ def _finer(
 ) -> list[_Piece]:
     """Return the elements of the next mesh that replace an element to be refined.
 
-    An element with a corner is split. Otherwise, the degree is raised if the solution is smooth and
-    the degree is allowed, and the element is split if not. See docs/theory/refinement.md, eqs. (4)
-    and (5).
+    An element with a corner is split. In other elements, the degree is raised if the solution is
+    smooth and the new degree is at most `options.max_degree`. Otherwise, they are split. See
+    docs/theory/refinement.md, eqs. (4) and (5).
 
     Parameters
     ----------
@@ -498,8 +505,8 @@ def _decay(sizes: FloatArray) -> float:
 def _jump(solution: Solution, e: int) -> float | None:
     """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
-    The result is None if no control jumps, or if the problem requires one end of the element `e` as
-    a boundary. See docs/theory/refinement.md, eq. (8).
+    The result is None if no control jumps. It is also None if the problem requires an element
+    boundary at the start or end of element `e`. See docs/theory/refinement.md, eq. (8).
     """
     mesh = solution.mesh
     # A jump is then assumed to be at that boundary, for example because a parameter jumps there.

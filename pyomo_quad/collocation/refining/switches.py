@@ -77,8 +77,9 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which an algebraic variable jumps.
 
-    A variable jumps if its values in the element and at one point on either side differ by more
-    than a quarter of its range (`Solution.algebraic_ranges`).
+    A variable jumps if its largest minus its smallest value exceeds a quarter of its range
+    (`Solution.algebraic_ranges`). The values are taken at the points of the element, and at the
+    neighbouring point on each side.
     """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
@@ -95,7 +96,8 @@ def _hamiltonians(
 ) -> FloatArray:
     """Return the Hamiltonian at collocation points, with parameters taken at given times.
 
-    Two neighbouring points are compared with the same values of the time-dependent parameters.
+    If two points are compared, the caller gives the same time for both. An explicit dependence on
+    time then does not contribute to the difference of their Hamiltonians.
 
     Parameters
     ----------
