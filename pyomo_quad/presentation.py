@@ -1,10 +1,7 @@
 """Registry of the presenter, the module that draws figures and writes reports.
 
-The presenter is the module `pyomo_quad.report.presenting`. It presents plans and runs. A plan is an
-optimised flight. A run is a plan together with the baseline flights that it is compared with.
-
-Methods such as `Plan.plot` need the presenter, but their modules must not import it, for two
-reasons:
+The presenter is the module `pyomo_quad.report.presenting`. Methods such as `Plan.plot` need it, but
+their modules must not import it, for two reasons:
 
 - The presenter imports matplotlib, which takes time.
 - The presenter's package imports the packages of plans and runs. The imports would therefore be

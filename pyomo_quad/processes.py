@@ -43,28 +43,21 @@ def side_by_side(
 ) -> Iterator[Callable[[], tuple[Any, ...]]]:
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
-    The copies start to work on the tasks at the beginning of the ``with`` block. This process joins
-    in when the block calls the yielded function. The copies are killed at the end of the block.
-
-    There is at most one process per core. A copy starts with all libraries and data of this
-    process. If this process ends, the copies end too. Where a fork is not safe (see `cores`), all
-    tasks run in this process.
-
-    A task may fail in a copy, or its result may be impossible to send back. This process then runs
-    the task once more. If the task fails again, this process raises the error.
+    The copies start at the beginning of the ``with`` block and are killed at its end. Where a fork
+    is not safe (see `cores`), all tasks run in this process. A task that fails in a copy runs again
+    in this process, where its error is raised.
 
     Parameters
     ----------
     tasks : sequence of callable
         Functions without arguments.
     use_blas : bool, default True
-        Whether the tasks call BLAS. A forked copy has no BLAS threads. If the tasks call BLAS with
-        several threads, all tasks therefore run in this process.
+        Whether the tasks call BLAS. If they call BLAS with several threads, all tasks run in this
+        process.
     is_stopped : callable, optional
-        Function that returns True after a stop, for example by the user. While this process waits
-        for the copies, it calls the function every tenth of a second. After a stop, this process
-        waits no longer and calls the unfinished tasks itself. A task that is called after a stop
-        should therefore return at once.
+        Function that returns True after a stop, for example by the user. After a stop, this process
+        calls the unfinished tasks itself. A task that is called after a stop should therefore
+        return at once.
 
     Yields
     ------
@@ -100,6 +93,8 @@ def side_by_side(
                 done.update(
                     (at, ForkingPickler.loads(sent)) for at, sent in answer.result().items()
                 )
+        # A task without a result failed in a copy, was not finished in time or at a stop, or has a
+        # result that cannot be sent.
         return tuple(done[at] if at in done else task() for at, task in enumerate(tasks))
 
     copies = cores(len(tasks), use_blas=use_blas) - 1
@@ -126,15 +121,13 @@ def _have_ended(answers: Sequence[Future[Any]]) -> bool:
 def cores(most: int, *, use_blas: bool) -> int:
     """Return the number of processes among which tasks are divided, at most ``most``.
 
-    The processes are this process and forked copies of it. The result is the smaller of ``most``
-    and the number of available cores. The argument `use_blas` states whether the tasks call BLAS.
-    The result is 1 in each case in which this process must not be forked:
-
-    - on systems other than Linux;
-    - if the tasks call BLAS with several threads, because a forked copy lacks the threads;
-    - in a worker process, because the workers already share the cores.
+    The result counts this process and its forked copies. It is 1 where this process must not be
+    forked: in a worker process, on systems other than Linux, and if the tasks call BLAS
+    (`use_blas`) with several threads.
     """
+    # A forked copy lacks the threads of BLAS.
     is_safe = not use_blas or os.environ.get("OMP_NUM_THREADS") == "1"
+    # Worker processes already share the cores.
     is_own = multiprocessing.parent_process() is None
     if sys.platform != "linux" or not (is_safe and is_own):
         return 1
@@ -199,11 +192,7 @@ def _at_work() -> Any:  # noqa: ANN401  the answer of any work
 
 
 def pool_of(count: int) -> Executor:
-    """Return a pool of ``count`` new processes, which the caller must end with `end_processes`.
-
-    The processes are spawned, not forked, because Ipopt and BLAS do not work in a forked copy of a
-    process with threads.
-    """
+    """Return a pool of ``count`` new processes, which the caller must end with `end_processes`."""
     # Spawned, not forked: Ipopt and BLAS do not survive a fork with threads.
     return _pool(count, "spawn")
 

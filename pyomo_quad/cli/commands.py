@@ -212,14 +212,8 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    A plan of the whole mission is made before the flight if at least one of these holds:
-
-    - the flight follows a plan;
-    - the duration of the mission is free;
-    - the controller is model-predictive, and the time of a waypoint is free.
-
-    A model-predictive controller also plans the rest of the mission again and again during the
-    flight.
+    The mission is planned first if the flight follows a plan, or if the mission's duration is free.
+    Model-predictive control also needs a plan if the time of a waypoint is free.
 
     Parameters
     ----------

@@ -51,35 +51,33 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    The first signal, such as Ctrl-C, is the request. It sets the attribute `is_requested`, and
-    starts a timer. The process ends when the timer expires:
+    The first signal, such as Ctrl-C, sets the attribute `is_requested` and starts a timer that ends
+    the process:
 
     - after half a second if the attribute `has_result` is False;
-    - after one minute if `has_result` is True, so that the command can write its report.
+    - after one minute if it is True, so that the command can write its report.
 
     After a second signal, the process ends within half a second.
-
-    The command sets `has_result` as soon as it has a plan whose simulated flight arrives and keeps
-    all limits.
     """
 
     def __init__(self) -> None:
         self.is_requested = False
+        # The command sets this to True as soon as it has a plan whose simulated flight arrives and
+        # keeps all limits.
         self.has_result = False
 
     def request(self, _signal: int, _frame: FrameType | None) -> None:
         """Handle a signal: record the request, and start a timer that ends the process.
 
-        A second signal shortens the time until the end to half a second. No timer is set in a
-        process that also runs other code, such as tests.
-
-        Python passes two arguments to every signal handler. They are not used here.
+        A second signal shortens the timer to half a second. In a process that also runs other code,
+        such as tests, no timer is set.
 
         Raises
         ------
         KeyboardInterrupt
             At a second signal, in a process that also runs other code.
         """
+        # Python passes two arguments to every signal handler. They are not needed here.
         if self.is_requested and not _enforce(_PATIENCE_S):
             raise KeyboardInterrupt
         if not self.is_requested:
@@ -100,11 +98,10 @@ def _ending_signals() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """Finish a command, and return the given exit status.
+    """Return `status`, the exit status of the command, at the end of its process.
 
-    If a signal has started the timer that ends the process, the function ends the process at once,
-    with this exit status. Otherwise the function only makes the coming end of the process faster:
-    Python will not free its objects one by one.
+    If a signal has started the timer of `Interruption`, this function does not return. It ends the
+    process at once, with this status.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -115,9 +112,7 @@ def leave(status: int) -> int:
 def record_last_message() -> None:
     """Record that the command has printed its last message.
 
-    A signal such as Ctrl-C starts a timer that ends the process. The timer normally prints that the
-    command was interrupted. After a call of this function, the timer ends the process without a
-    message.
+    After this call, the timer of `Interruption` ends the process without a message.
     """
     global _has_last_message  # noqa: PLW0603  a fact about the process
     _has_last_message = True
@@ -136,14 +131,8 @@ def before_the_end(act: Callable[[], object]) -> None:
 def stop_on_interrupt() -> Iterator[Interruption]:
     """Turn a signal such as Ctrl-C into a request to stop a solve, inside a ``with`` block.
 
-    A solve inside the ``with`` block checks at each iteration whether a stop was requested. After a
-    request, the solve stops and returns its best iterate.
-
-    The signal also starts a timer that ends the process. The timer lasts
-
-    - one minute if the solve has found a plan whose simulated flight arrives and keeps all limits,
-      so that the command can write a report;
-    - half a second otherwise.
+    After a request, a solve inside the block stops at the next iteration and returns its best
+    iterate. The signal also starts the timer of `Interruption`.
 
     Yields
     ------
@@ -201,8 +190,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 def _enforce(patience_s: float) -> bool:
     """Set a timer that ends the process, if the process runs nothing but the command.
 
-    A test that calls the command in its own process is not ended. If a timer is running already,
-    the timer that ends the process sooner is kept.
+    If a timer is running already, the timer that ends the process sooner is kept.
 
     Parameters
     ----------
@@ -214,6 +202,7 @@ def _enforce(patience_s: float) -> bool:
     bool
         True if the process runs only the command; False if it also runs other code.
     """
+    # A test that calls the command in its own process is not ended.
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]
     if is_own and not 0.0 < left_s <= patience_s:

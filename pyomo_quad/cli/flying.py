@@ -34,8 +34,8 @@ from pyomo_quad.study.comparison import has_arrived
 def make_plan(planner: Planner, scenario: Scenario) -> Plan:
     """Plan the flight that is to be simulated; end the command if no flyable plan is found.
 
-    The plan's controls are simulated without feedback. The plan is flyable if the simulated flight
-    arrives at the goal and keeps all limits.
+    A plan is flyable if its simulated flight without feedback arrives at the goal and keeps all
+    limits.
 
     Parameters
     ----------
@@ -146,10 +146,10 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
 def refuse_outside(scenario: Scenario) -> None:
     """Raise an error if the simulator RotorPy is not installed or cannot simulate the scenario.
 
-    In RotorPy, wind acts through the drag. A wind that acts as an acceleration, as in eq. (9) of
-    Yacef et al., cannot be simulated.
+    RotorPy cannot simulate a wind that acts as an acceleration, as in eq. (9) of Yacef et al.
     """
     rotorpy_module(MULTIROTOR)
+    # In RotorPy, wind acts through the drag.
     refuse_pushing_wind(scenario)
 
 

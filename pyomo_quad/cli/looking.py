@@ -346,8 +346,8 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 def _mission(summary: dict[str, Any]) -> Scenario | None:
     """Return the scenario of a report, with duration and waypoint times of the reported flight.
 
-    If the report gives no waypoint times, the scenario keeps its own waypoint times. The result is
-    None if this version of the package cannot read the scenario.
+    Waypoint times that the report does not give stay those of the scenario. The result is None if
+    this version of the package cannot read the scenario.
 
     Parameters
     ----------

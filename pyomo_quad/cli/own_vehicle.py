@@ -96,10 +96,8 @@ def vehicle(
 def is_asked(*, is_quiet: bool) -> bool:
     """Return whether the command may ask the user for missing data on a terminal.
 
-    The result is True if both of these hold:
-
-    - the user has not given the option `--quiet` (`is_quiet` is False);
-    - standard input and standard output are a terminal.
+    It may if the option `--quiet` is not given, and if standard input and standard output are a
+    terminal.
     """
     return not is_quiet and sys.stdin is not None and sys.stdin.isatty() and sys.stdout.isatty()
 

@@ -212,9 +212,8 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 
     The new accuracy is the first of these that applies:
 
-    - the accuracy in the overrides, `solver.accuracy`;
-    - the accuracy that the plan's scenario requires, if no simulation has confirmed the plan to
-      this accuracy yet;
+    - `solver.accuracy` in the overrides;
+    - the accuracy of the plan's scenario, if no simulation has confirmed that the plan reaches it;
     - the next higher accuracy.
 
     Parameters
@@ -260,13 +259,11 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
-    The scenario's risk is the permitted probability that a flight breaks a limit. The result is
-    also False if
-
-    - the scenario states no risk;
-    - the risk of the plan was not assessed;
-    - no simulation has confirmed the plan; the plan's status then reports the failure.
+    The result is False if the scenario states no permitted risk, if the plan's risk was not
+    assessed, or if no simulation has confirmed the plan.
     """
+    # The scenario's risk is the permitted probability that a flight breaks a limit. If no
+    # simulation has confirmed the plan, the plan's status reports the failure.
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
 

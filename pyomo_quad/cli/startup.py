@@ -32,16 +32,13 @@ def own_process() -> None:
 def import_scipy_alone() -> None:
     """Remove the import hooks of Pyomo that make the import of SciPy and matplotlib slow.
 
-    When SciPy or matplotlib is first imported, these hooks import further modules that Pyomo may
-    need later. This takes half a second each for SciPy and matplotlib. Without the hooks, Pyomo
-    imports the further modules when it first uses them.
-
-    Pyomo also has a hook for NumPy, which must still act. The function therefore imports NumPy
-    before it removes the hooks.
-
-    In a process that also runs other code, such as tests, the function does nothing.
+    Pyomo then imports further modules when it first uses them. In a process that also runs other
+    code, such as tests, the function does nothing.
     """
+    # At the first import of SciPy or matplotlib, the hooks import modules that Pyomo may need
+    # later. They take half a second for each of the two libraries.
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
+        # Pyomo's hook for NumPy must still act, so NumPy is imported before the hooks are removed.
         importlib.import_module("numpy")
         importlib.import_module(_PYOMO_WATCHERS)
         sys.meta_path[:] = [

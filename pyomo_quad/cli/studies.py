@@ -378,12 +378,8 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    The rest of the line depends on the measurements:
-
-    - If they determine the parameter, the line says whether the value lies at an end of the
-      permitted range.
-    - Otherwise the line says that the parameter keeps its value from before the fit. It also names
-      the parameter with the most similar effect on the power, if there is one.
+    The line also says if the value is at an end of its range. If the measurements do not determine
+    the parameter, the line says so instead, and the value is that before the fit.
 
     Parameters
     ----------

@@ -81,10 +81,8 @@ def claim_streams() -> bool:
 def gives_up_output(error: OSError) -> bool:
     """Return whether an error shows that standard output can no longer be written.
 
-    Examples are a closed pipe and a full disk.
-
-    After such an error, the function redirects standard output to the null device. All further
-    output is then discarded without another error.
+    Examples are a closed pipe and a full disk. If the result is True, the function has redirected
+    standard output to the null device.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False
@@ -150,13 +148,8 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 def _state_of(now: "State") -> str:
     """Return the line of the progress display for `now`, the state of a search for a plan.
 
-    A search solves the mission on finer and finer meshes. The line gives
-
-    - the stage of the search;
-    - the energy on the last solved mesh, and its relative change from the mesh before;
-    - the solver's iteration, the number of mesh points and the processor time;
-    - the word "usable" if a simulation has confirmed a plan, at lower accuracy than requested. If
-      the user stops the search, this plan is returned.
+    The word "usable" means that a simulation has confirmed a plan at lower accuracy than requested.
+    A search that the user stops returns this plan.
     """
     best = "no energy yet"
     if isfinite(now.energy_J):

@@ -57,9 +57,8 @@ class Symbol(NDArrayOperatorsMixin):
     def __array_ufunc__(self, function: np.ufunc, method: str, *numbers: Any, **_: Any) -> Symbol:
         """Apply a NumPy function to symbols, as a CasADi expression.
 
-        NumPy calls this method when a control law applies the function `function` to a symbol.
-        `numbers` are the arguments of the function: symbols or ordinary numbers. `method` is
-        "__call__" for a plain call; other calls are not accepted.
+        `numbers` are the arguments of `function`: symbols or ordinary numbers. `method` must be
+        "__call__", which is a plain call of the function.
 
         Raises
         ------
@@ -279,21 +278,16 @@ class ClosedLoop:
     def without_feedback(cls, dynamics: Dynamics) -> Self:
         """Return an object that simulates the vehicle in open loop, with given controls.
 
-        `dynamics` is the right-hand side of the vehicle's equations. The control law of the
-        returned object only passes the command on: the command is the control vector. The law has
-        no states of its own.
+        `dynamics` is the right-hand side of the vehicle's equations. The command of the returned
+        object is the control vector, and its control law has no states.
         """
         n_controls = len(dynamics.control_names)
         return cls(dynamics, lambda command, _x, _own: (command, ()), n_command=n_controls, n_own=0)
 
     def _compiled(self, law: Law, sizes: tuple[int, int, int]) -> Any:
-        """Return the CasADi function of the closed loop.
+        """Return the CasADi function of the closed loop, for the attribute `function`.
 
-        The inputs are the time-dependent inputs of the equations, the joint state, and the command
-        that the law follows. The outputs are the time derivative of the joint state, and the
-        controls.
-
-        `law` is the control law. `sizes` are the sizes of the three inputs, from `joint_sizes`.
+        `sizes`, from `joint_sizes`, are the sizes of the function's three inputs.
         """
         symbols, rates, controls = closed(self._dynamics, law, sizes, {})
         # To find common subexpressions, CasADi would write out the data of each table in full.
@@ -326,12 +320,8 @@ class ClosedLoop:
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of the closed loop's right-hand side at n times.
 
-        The right-hand side is the time derivative of the joint state, which the method `rates`
-        returns. One Jacobian is with respect to the time-dependent inputs of the equations, the
-        other is with respect to the joint state.
-
-        A control law may have kinks, such as a switch of NumPy's `fmin` between its arguments. The
-        derivatives at a kink are one-sided.
+        The right-hand side is the time derivative of the joint state. At a kink of the control law,
+        such as a switch of NumPy's `fmin`, the derivatives are one-sided.
 
         Parameters
         ----------
@@ -345,8 +335,8 @@ class ClosedLoop:
         Returns
         -------
         ndarray, shape (n, n_joint, n_moment)
-            Derivatives with respect to the n_moment time-dependent inputs of the equations, which
-            `Dynamics.moment` returns.
+            Derivatives with respect to the time-dependent inputs of the equations. The n_moment
+            inputs are those that `Dynamics.moment` returns.
         ndarray, shape (n, n_joint, n_joint)
             Derivatives with respect to the joint state.
         """

@@ -42,12 +42,9 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    At the collocation points, there are two approximations of the costates:
-
-    - `stages` comes directly from the multipliers of the collocation equations. Its order of
-      convergence is lower by 1 than the order of the states.
-    - `at_points` is more accurate. It results from integration of the adjoint equations over each
-      element, with the multipliers on the right-hand side.
+    The order of convergence of `stages` is lower by 1 than that of the states. `at_points` is more
+    accurate: it integrates the adjoint equations over each element, with the multipliers on the
+    right-hand side.
 
     Attributes
     ----------
@@ -95,13 +92,10 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix that subtracts a fitted smooth polynomial from values in an element.
+    """Return the matrix R such that R v is the residual of a smooth fit to values v.
 
-    An element of degree d has d + 1 nodes: the left end and the d collocation points. A polynomial
-    of degree d - 2 is fitted to the values at the nodes by least squares. The matrix maps the
-    values to the residuals of this fit. It has shape (d + 1, d + 1).
-
-    Large residuals show that the values do not vary smoothly over the element.
+    The values belong to the left end and the d collocation points of an element. The fit is a
+    polynomial of degree d - 2, by least squares. The shape of R is (d + 1, d + 1).
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
@@ -137,8 +131,7 @@ def costates_of(
 ) -> Costates:
     """Compute costates and Hamiltonian from the multipliers of a nonlinear program.
 
-    By the covector mapping, the multipliers of the collocation equations are divided by the
-    quadrature weights to obtain the costates of the optimal control problem.
+    See docs/theory/transcription.md, eqs. (9) to (12).
 
     Parameters
     ----------
@@ -149,9 +142,7 @@ def costates_of(
     multipliers : Multipliers
         Multipliers of constraints and bounds, as Ipopt returns them for the unscaled program.
     bounds : Bounds
-        Bounds of unknowns and constraints. A bound that a state has at a single time only can make
-        the costate jump at this time. The adjoint equations hold between such jumps, and therefore
-        do not contain the multiplier of this bound.
+        Bounds of unknowns and constraints.
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
@@ -192,11 +183,10 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two gradients that occur in the adjoint equations of the costates.
+    """Return the gradients of a weighted sum w . g at each collocation point.
 
-    At each collocation point, a weighted sum of path equations and integrands is formed. A path
-    equation is a constraint that is imposed at every collocation point. The integrands are those of
-    the model's integrals. The function returns the gradients of the weighted sum.
+    Here g are the path equations (constraints at every collocation point) and the integrands of the
+    model's integrals, and w are the `weights`. The gradients occur in the adjoint equations.
 
     Parameters
     ----------
@@ -226,18 +216,14 @@ def _products(
 def _bound_multipliers(
     program: Transcription, multipliers: Multipliers, bounds: Bounds
 ) -> FloatArray:
-    """Return the multipliers of the bounds on states at the collocation points.
+    """Return multipliers of states' bounds at the collocation points, shape (n_points, n_states).
 
-    The result has shape (n_points, n_states). An entry is the multiplier of the upper bound minus
-    the multiplier of the lower bound. The entry is 0 in two cases:
-
-    - the state is fixed at the point;
-    - the bound is imposed at a single time only, such as an end condition.
-
-    `program` is the nonlinear program on one mesh. `multipliers` are the multipliers of its
-    constraints and bounds. `bounds` are the bounds of its unknowns and constraints.
+    An entry is the multiplier of the upper bound minus that of the lower bound. It is 0 where the
+    state is fixed, or where a bound holds at a single time only.
     """
     is_held = bounds.lower == bounds.upper
+    # A bound at a single time can make the costate jump there. The adjoint equations hold between
+    # such jumps, and therefore do not contain its multiplier.
     for limit in limits_at_points(program):
         is_held[limit.columns] = True
     pull = np.where(is_held, 0.0, multipliers.upper - multipliers.lower)
@@ -254,22 +240,11 @@ def costate_errors_of(
 ) -> FloatArray:
     """Estimate the largest relative error of each costate over the horizon.
 
-    The error is relative to the magnitude of the costate, `costates.sizes`. It is the largest of
-    three estimates:
+    The result is the largest of three estimates; see docs/theory/transcription.md, eq. (13):
 
-    - Error of the integration. `costates.at_points` results from integration of the adjoint
-      equations with `costates.stages` on the right-hand side. Here the adjoint equations are
-      integrated again, with `costates.at_points` on the right-hand side. The estimate is twice the
-      difference between the two results.
-    - Error from jumps. A limit on a state may become active or inactive inside an element. The
-      costate may then jump at an unknown time in the element. Let g be the part of the costate's
-      change over the element that the multipliers of the limits cause. A smooth polynomial is
-      fitted to g. If the residual of the fit is at most 2 % of g, the estimate is the residual.
-      Otherwise g may contain a jump, and the estimate is the magnitude of g.
-    - Effect on other costates. The adjoint equations couple the costates. An error from a jump in
-      one costate therefore causes errors of other costates in the same element.
-
-    See docs/theory/transcription.md, eq. (13).
+    - the error of the integration of the adjoint equations;
+    - the error from jumps of the costate, which occur at limits on states;
+    - the error from such jumps of other costates.
 
     Parameters
     ----------
@@ -287,7 +262,7 @@ def costate_errors_of(
     Returns
     -------
     ndarray, shape (n_states,)
-        Largest error of each costate, divided by the magnitude of this costate; dimensionless.
+        Largest error of each costate, divided by its magnitude in `costates.sizes`; dimensionless.
     """
     mesh, weights = costates.mesh, costates.mesh.quadrature_weights[:, None]
     equations = linearised(program, program.path_variables(z), program.data.at_points())
@@ -303,11 +278,18 @@ def costate_errors_of(
     largest = np.zeros(costates.sizes.size)
     for degree, chosen, points in _by_degree(mesh):
         rule, widths = radau_rule(degree), mesh.widths[chosen, None, None]
+        # The adjoint equations are integrated again, with `at_points` on the right-hand side. The
+        # error is estimated as twice the change.
         missed = 2.0 * np.abs(widths * (rule.integration @ slopes[points])).max(axis=1)
         grown = widths * (rule.integration @ pull[points])
+        # Where a limit on a state becomes active or inactive inside an element, the costate may
+        # jump at an unknown time. If a smooth fit leaves more than 2 % of the change, the whole
+        # change counts.
         rough = np.abs(_roughness(degree)[:, 1:] @ grown).max(axis=1)
         whole = np.abs(grown).max(axis=1)
         uneven = np.where(rough > _ROUGH * whole, whole, rough)
+        # The adjoint equations couple the costates: an error from a jump in one causes errors in
+        # others.
         carried = np.einsum("eab,eb->ea", np.abs(growth[points]).max(axis=1), uneven)
         found = np.maximum.reduce([missed, uneven, widths[:, 0] * carried])
         largest = np.maximum(largest, found.max(axis=0))

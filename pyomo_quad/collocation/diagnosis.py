@@ -43,10 +43,9 @@ _SoftRow = tuple[str, int, int, float, float, float]
 class SoftRows:
     """One-sided limits that a diagnosis may relax: sign * (value - limit) <= slack * size.
 
-    Here `value` is the value of a constraint or of an unknown of the nonlinear program. The limits
-    are grouped into families: a family consists of all limits that one component of the Pyomo model
-    declares. All limits of a family have the same slack, a non-negative number. The diagnosis
-    computes the least slacks by another nonlinear program, the elastic program.
+    Here `value` is that of a constraint or an unknown of the nonlinear program. A family consists
+    of all limits that one component of the Pyomo model declares. Its limits share one slack >= 0,
+    which the diagnosis minimises.
 
     Attributes
     ----------
@@ -133,8 +132,7 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    For each unknown, a limit gives two one-sided limits: an upper and a lower limit. A side that
-    the model does not limit has an infinite value.
+    Each unknown of a limit gives an upper and a lower limit, which may be infinite.
 
     Parameters
     ----------
@@ -162,9 +160,8 @@ def _soft_program_rows(
 ) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
 
-    The constraints are path inequalities at each collocation point, and conditions at single times,
-    such as boundary conditions. Each constraint gives an upper and a lower one-sided limit. A side
-    that the model does not limit has an infinite value.
+    The constraints are path inequalities at each collocation point, and conditions at single times.
+    Each gives an upper and a lower limit, which may be infinite.
 
     Parameters
     ----------
@@ -269,12 +266,9 @@ class ActiveLimit:
 class Relaxation:
     """Amount by which a component's limits are relaxed to make an infeasible problem feasible.
 
-    A component is a constraint or a variable of the Pyomo model. All limits of a component share
-    one relaxation; an object of this class is the relaxation of one component.
-
-    To make the problem feasible, the limits of several components may have to be relaxed together.
-    The diagnosis divides the relaxation of each component by the magnitude of its limits, and
-    minimises the sum of these ratios.
+    A component is a constraint or a variable of the Pyomo model. Several components may have to be
+    relaxed together. The diagnosis minimises the sum of their relaxations, relative to the
+    magnitudes of the limits.
 
     Attributes
     ----------
@@ -406,13 +400,8 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
-    The original program is the nonlinear program of the failed solve. The elastic program has the
-    same constraints, but its limits are relaxed by slacks. A family consists of all limits that one
-    component of the Pyomo model declares. Each family has one slack s >= 0. The relative violation
-    of each limit in the family must not exceed s. The program expresses this in two ways:
-
-    - Limit on a constraint: the relative violation v is an added unknown, constrained to v <= s.
-    - Limit on an unknown: an added constraint contains this unknown and s.
+    Ipopt solves an elastic program: that of the failed solve, with slacks in the limits and their
+    sum as the objective. All limits of a family share one slack, as in `SoftRows`.
 
     Parameters
     ----------
@@ -428,14 +417,16 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
     -------
     IpoptResult
         Ipopt's result for the elastic program. Its unknowns are, in this order: the unknowns of the
-        original program; the relative violations of the limits on constraints; and the slacks of
-        the families.
+        original program; a relative violation for each limit on a constraint, at most the slack of
+        its family; and the slacks of the families.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)
     on_row, on_unknown = np.flatnonzero(soft.row >= 0), np.flatnonzero(soft.row < 0)
     own, first_slack = n + np.arange(on_row.size), n + on_row.size
     factors = soft.sign / soft.size
+    # Limit on a constraint: its relative violation v is an added unknown, with the row v <= slack.
+    # Limit on an unknown: an added row contains this unknown and the slack of the family.
     parts = (
         (-(soft.sign * soft.size)[on_row], soft.row[on_row], own),
         (np.ones(on_row.size), m + on_row, own),
@@ -480,8 +471,7 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
     """Return the ten equations with the largest scaled violations at the best iterate.
 
     The best iterate is the point with the least constraint violation that the failed solve found.
-    It is stored in `solution`. The largest violation comes first. Satisfied equations are left out,
-    so that the result may have fewer than ten items.
+    Satisfied equations are left out. The largest violation comes first.
     """
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
@@ -507,8 +497,7 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
     """Return the limits that are active at the best iterate, one item per model component.
 
     The best iterate is the point with the least constraint violation that the failed solve found.
-    It is stored in `solution`. `soft` has the one-sided limits to examine. Limits on fixed unknowns
-    are left out.
+    Limits on fixed unknowns are left out.
     """
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])
@@ -535,8 +524,8 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
     """Return by how much the limits of each component must be relaxed for a feasible problem.
 
-    A family consists of all limits that one component of the Pyomo model declares. The family with
-    the largest relative relaxation comes first. Families with a negligible relaxation are left out.
+    The component with the largest relative relaxation comes first. Components with a negligible
+    relaxation are left out.
 
     Parameters
     ----------

@@ -132,17 +132,14 @@ class Dynamics:
     def _compile(self, states: tuple[Slot, ...]) -> Any:
         """Return the CasADi function of the right-hand side.
 
-        The function has four inputs: states; controls; static variables (variables without time);
-        and data (fraction of the horizon and parameters). It has two outputs, each a column:
+        The inputs are states, controls, static variables (variables without time), and data
+        (fraction of the horizon and parameters). The outputs are two columns:
 
-        - the rates of all states, then the values of the algebraic variables that equations
-          determine;
-        - the objective's integrand, then the derivative of time with respect to the fraction of the
-          horizon.
+        - the rates dx/ds of all states x, then the algebraic variables that equations determine;
+        - the objective's integrand per unit of s, then dt/ds.
 
-        Rates and integrand are per unit of the fraction of the horizon.
-
-        `states` are all states of the model, including states on which nothing depends.
+        Here s is the fraction of the horizon, and t is the physical time. `states` are the states
+        of the nonlinear program, then the output states.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -169,12 +166,8 @@ class Dynamics:
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side as a CasADi function that solves implicit equations.
 
-        In implicit equations, rates (derivatives of the states) or algebraic variables enter
-        nonlinearly. The returned function solves them by CasADi's Newton method. It has the inputs
-        and outputs that `_compile` describes.
-
-        `core` holds the equations: a nonlinear part, which Newton's method solves, and a linear
-        part. `inputs` are the symbols of the function's four inputs.
+        CasADi's Newton method solves the nonlinear part of the equations in `core`. `inputs` are
+        the symbols of the function's four inputs, as in `_compile`.
         """
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
@@ -183,13 +176,11 @@ class Dynamics:
         return casadi.Function(_RIGHT_HAND_SIDE, symbols, list(core.known(found, stacked)))
 
     def without_iterations(self) -> Dynamics:
-        """Return a right-hand side that solves implicit equations by 20 Newton steps.
+        """Return a right-hand side that solves implicit equations by exactly 20 Newton steps.
 
-        In implicit equations, rates (derivatives of the states) or algebraic variables enter
-        nonlinearly. If the model has only explicit equations, this object itself is returned.
-
-        The 20 Newton steps are written out in CasADi's fast scalar expressions (SX). CasADi's own
-        Newton iteration would cost ten times as much as the evaluation of all other equations.
+        It is faster than an iteration until convergence. In implicit equations, rates (derivatives
+        of the states) or algebraic variables enter nonlinearly. If no equation is implicit, the
+        result is this object itself.
         """
         return self if self._right_hand_side.is_a("SXFunction") else self._written_out
 
@@ -219,9 +210,8 @@ class Dynamics:
     def just_after(self, t: float) -> float:
         """Return a time just after t, to evaluate parameters after a jump at t.
 
-        At the time of a jump, the equations take the parameter's value before the jump. At the
-        returned time, the equations take the value after the jump. If no parameter ever jumps, t
-        itself is returned.
+        At t itself, the equations take the parameters' values before the jump. If no parameter ever
+        jumps, the result is t.
 
         Parameters
         ----------
@@ -457,16 +447,10 @@ class Dynamics:
 
     @property
     def _slopes(self) -> Any:
-        """CasADi function of the Jacobians of the right-hand side.
+        """CasADi function of the Jacobians of the right-hand side, with the inputs of `_compile`.
 
-        The inputs are those of the right-hand side (see `_compile`). The function has three
-        outputs:
-
-        - a column of the objective's integrand and of the derivative of time with respect to the
-          fraction of the horizon;
-        - the Jacobian, with respect to the states, of the rates and of the algebraic variables that
-          equations determine;
-        - the Jacobian of the same quantities with respect to the controls.
+        There are three outputs. The first is the second output of `_compile`. The others are the
+        Jacobians of the first output of `_compile`, with respect to states and to controls.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -555,9 +539,8 @@ class Dynamics:
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
         """Return a copy of the equations' data at n times, in which some parameters are changed.
 
-        `data` has one row per time. Its columns are the fraction of the horizon, the time-dependent
-        parameters and the constant parameters. `numbers` maps full names of constant parameters to
-        new values. A new value is a number or an array of shape (n,).
+        `numbers` maps full names of constant parameters to new values: numbers, or arrays of shape
+        (n,). The last columns of `data` are the constant parameters.
         """
         names = self.parameter_names
         changed = data.copy()
@@ -568,9 +551,8 @@ class Dynamics:
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
         """Merge controls and computed variables into one array of all algebraic variables.
 
-        `determined` are the algebraic variables that equations determine, and `controls` the
-        remaining algebraic variables. Both arrays, and the result, have one row per time. The
-        result has one column per algebraic variable, in the order of their declaration.
+        `determined` are the variables that equations determine. Each array has one row per time.
+        The columns of the result are in the order of declaration.
         """
         names = [s.name for s in self._determined]
         columns = [
@@ -666,8 +648,7 @@ class Dynamics:
     def initial_states(self) -> dict[str, float]:
         """Return the value of each state at the start of the horizon, as set in the Pyomo model.
 
-        The result maps the full name of each state to its initial value. A state without a value at
-        the first time of the model's continuous set has the initial value 0.
+        The keys are full names of states. A state without a value at this time has the value 0.
         """
         declared = self._formulation.compiled.declared
         held = {
@@ -782,10 +763,9 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    An equality without time derivatives can determine one of the algebraic variables in it. A
-    maximum matching assigns variables to such equalities. If several variables can be assigned to
-    an equality, the variable that is declared last is preferred. The variables without an assigned
-    equality are the controls.
+    An equality without time derivatives can determine one of its algebraic variables. A maximum
+    matching assigns variables to such equalities, and prefers variables declared last. The controls
+    are the variables without an assigned equality.
 
     Parameters
     ----------
@@ -897,9 +877,9 @@ def _solved_for(rows: Any, unknowns: Any) -> Any:
 class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
-    The unknowns are the rates (derivatives of the states with respect to the fraction of the
-    horizon) and the algebraic variables that equations determine. The inputs are states, controls,
-    static variables (variables without time) and data (fraction of the horizon and parameters).
+    The unknowns are the rates and the algebraic variables that equations determine. Rates are
+    derivatives of the states with respect to the fraction of the horizon. The inputs are those of
+    `Dynamics._compile`.
 
     Attributes
     ----------
@@ -922,9 +902,8 @@ class _Core:
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
         """Split equations that are nonlinear in the rates or algebraic variables.
 
-        Rates are the derivatives of the states with respect to the fraction of the horizon.
-        Newton's method will solve the nonlinear part for its unknowns. The linear rest gives all
-        other unknowns, and is solved here symbolically.
+        Newton's method will solve the nonlinear part. The other equations are linear in the other
+        unknowns, and are solved here symbolically.
 
         Parameters
         ----------
@@ -936,9 +915,8 @@ class _Core:
             States, controls, static variables (variables without time) and data (fraction of the
             horizon and parameters).
         rest : casadi.SX
-            Column of two expressions to be evaluated at the solution of the equations: the
-            objective's integrand, and the derivative of time with respect to the fraction of the
-            horizon.
+            Column of two further outputs of `_Core.known`: the objective's integrand, and the
+            derivative of time with respect to the fraction of the horizon.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -967,10 +945,8 @@ class _WithoutIterations(Dynamics):
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
         """Return the right-hand side as a CasADi function with 20 Newton steps written out.
 
-        The returned function has the inputs and outputs that `Dynamics._compile` describes.
-
-        `core` holds the implicit equations: a nonlinear part, which the Newton steps solve, and a
-        linear part. `inputs` are the symbols of the function's four inputs.
+        The Newton steps solve the nonlinear part of the equations in `core`. `inputs` are the
+        symbols of the function's four inputs, as in `Dynamics._compile`.
         """
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
@@ -978,6 +954,8 @@ class _WithoutIterations(Dynamics):
             "slope", [core.inner, stacked], [casadi.jacobian(residual, core.inner)]
         )
         found = casadi.SX.zeros(core.inner.shape[0])
+        # CasADi's own Newton iteration would cost ten times as much as the evaluation of all other
+        # equations.
         for _ in range(_NEWTON_STEPS):
             step = _solve_linear(slope(found, stacked), core.residual(found, stacked))
             found = found - step
@@ -988,15 +966,9 @@ class _WithoutIterations(Dynamics):
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
     """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
 
-    The unknowns of the equations are the rates (derivatives of the states) and the algebraic
-    variables that equations determine.
-
-    The nonlinear part has all unknowns that enter at least one equation nonlinearly, and all
-    equations that contain no other unknowns. The linear rest has the remaining unknowns and
-    equations.
-
-    Newton's method needs as many equations as unknowns. If the numbers differ in the nonlinear
-    part, it receives all equations and all unknowns, and the rest is empty.
+    The nonlinear part consists of all unknowns that enter an equation nonlinearly, and of the
+    equations that contain only these unknowns. If their numbers differ, the nonlinear part has all
+    equations and all unknowns.
 
     Parameters
     ----------
@@ -1019,6 +991,7 @@ def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int
     for row, column in zip(*jacobian.sparsity().get_triplet(), strict=True):
         held[row].add(column)
     own = [k for k in everything if held[k] <= set(inner)]
+    # Newton's method needs as many equations as unknowns.
     if len(own) != len(inner):
         return (everything, everything), ([], [])
     others = [k for k in everything if k not in own], [k for k in everything if k not in inner]

@@ -170,10 +170,8 @@ class Enclosure:
     def values_over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> Interval:
         """Return lower and upper bounds of the expressions over n boxes, without the gradient.
 
-        The computation costs less than that of `over`. `low` and `high` are the lower and upper
-        ends of the variables' intervals, shape (n_variables, n). `numbers` are the values of the
-        symbols with single values, shape (n_numbers,). The returned lower and upper bounds have
-        shape (n_expressions, n) each.
+        The arguments are those of `over`, and the cost is lower. Both bounds have shape
+        (n_expressions, n).
         """
         return self._values.over(low, high, numbers)[0]
 
@@ -199,8 +197,7 @@ class _Steps:
     """Elementary operations of a CasADi function, evaluated one after another on intervals.
 
     The function has two arguments: variables that range over intervals, and numbers that have
-    single values. `Enclosure` makes two objects of this class: one for a function that returns the
-    values of expressions, and one for a function that also returns a gradient.
+    single values.
 
     Parameters
     ----------
@@ -216,8 +213,7 @@ class _Steps:
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
         """Return the elementary operation number `k` of the CasADi function, counted from 0.
 
-        CasADi stores intermediate results in a work array. An operation reads its arguments from
-        the work array, and writes its results to the work array.
+        Operations pass intermediate results on in CasADi's work array.
 
         Returns
         -------

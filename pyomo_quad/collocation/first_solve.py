@@ -42,9 +42,9 @@ _COARSE_MESH = Mesh.uniform(elements=4, degree=3)
 class FirstSolve(Search[S], Generic[S]):
     """Search for a first solution of a problem, trying fallback strategies in a fixed order.
 
-    The search normally begins with a solve as the caller requested. If this solve fails, the
-    feasibility of the problem is examined. Fallback strategies then change the initial point, the
-    mesh or the settings of Ipopt.
+    The search normally begins with a solve as the caller requested. If it fails, the feasibility of
+    the problem is examined. Fallback strategies then change the initial point, the mesh or the
+    settings of Ipopt.
 
     Attributes
     ----------
@@ -82,10 +82,10 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """Result of the failed solve that the caller requested, with a verdict on feasibility.
+        """The failed solution in `first`, with a verdict on the feasibility of the problem.
 
-        The verdict states whether the problem is infeasible near the last iterate. The constraint
-        violation is minimised at the first access; later accesses return the cached result.
+        The verdict states whether the problem is infeasible near the last iterate. At the first
+        access, `judge` minimises the constraint violation for it.
         """
         return self.judge(self.failed)
 
@@ -107,15 +107,11 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        Each strategy has a list of conditions. The strategy is tried only if all of them are true.
-        This class evaluates two conditions:
+        This class evaluates two conditions; any other is False.
 
-        - `Fact.JUDGED`: the solve that the caller requested has failed, and the feasibility of the
-          problem has been examined since;
-        - `Fact.POSSIBLE`: the feasibility has been examined, and the problem may be feasible.
-
-        For any other condition the result is False. The subclass for one horizon evaluates more
-        conditions.
+        - `Fact.JUDGED`: the requested solve has failed, and the feasibility of the problem has been
+          examined since.
+        - `Fact.POSSIBLE`: in addition, the problem may be feasible.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -125,8 +121,8 @@ class FirstSolve(Search[S], Generic[S]):
     def attempt(self, strategy: Strategy) -> S | None:
         """Solve with the initial point, mesh and settings of Ipopt that a strategy prescribes.
 
-        `strategy` is the solve that the caller requested, or a fallback. The result is the
-        solution, converged or failed. It is None if the strategy does not apply to this problem.
+        `strategy` is the solve that the caller requested, or a fallback. The result is None if the
+        strategy does not apply to this problem.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -142,9 +138,8 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        This class solves problems with several horizons. It ignores `first`, and always begins at
-        the warm start or guess that the caller gave. The subclass `FirstSolveOfOne`, for one
-        horizon, distinguishes the kinds of initial points.
+        This method ignores `first`, and always begins at the warm start or guess that the caller
+        gave. A subclass for a single horizon takes `first` into account.
 
         Parameters
         ----------
@@ -169,16 +164,15 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        Whether the search ends depends on the result:
+        A success ends the search. The failure of a fallback strategy does not. The failure of the
+        solve that the caller requested ends the search in two cases:
 
-        - A successful result always ends the search.
-        - A failed result of a fallback strategy never ends the search.
-        - A failed result of the solve that the caller requested ends the search if the solve
-          diverged, because the problem is unbounded. It also ends the search if the caller's
-          settings of Ipopt allow fewer than 200 iterations.
+        - the solve diverged;
+        - the caller allows fewer than 200 iterations.
         """
         is_hasty = self.options.max_iterations < PATIENCE
         is_first = found is self.first
+        # A requested solve that diverged ends the search, because the problem is unbounded.
         return not found.status.has_failed or (
             is_first and (is_hasty or found.ipopt_code == DIVERGED_CODE)
         )
@@ -186,9 +180,8 @@ class FirstSolve(Search[S], Generic[S]):
     def failure(self, last: S) -> S:
         """Return the result to report if all strategies have failed.
 
-        This is the result of the solve that the caller requested, with a verdict that states
-        whether the problem is infeasible near the last iterate. `last`, the result of the strategy
-        tried last, is not used.
+        This is the result of the solve that the caller requested, with a verdict on feasibility.
+        `last`, the result of the strategy tried last, is not used.
         """
         del last
         return self.judged
@@ -229,22 +222,14 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        Each strategy has a list of conditions. The strategy is tried only if all of them are true.
-        This class evaluates five conditions:
-
-        - `Fact.ONE_HORIZON`: the problem has one horizon only, which is always true here;
-        - `Fact.OVERDETERMINED`: the model has more equations than free unknowns, and nothing has
-          been solved yet;
-        - `Fact.SQUARE`: the failed solve had as many equations as free unknowns;
-        - `Fact.FREE_MESH`: the caller gave neither a mesh nor a warm start;
-        - `Fact.FREE_GUESS`: the caller gave a tolerance, but neither a guess nor a warm start.
-
-        The base class evaluates all other conditions.
+        This class evaluates the conditions on the horizon, the numbers of equations and unknowns,
+        the mesh and the guess; see `Fact`. The base class evaluates all others.
         """
         known = {
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
             Fact.FREE_MESH: self.is_mesh_free,
+            # The caller gave a tolerance, but neither a guess nor a warm start.
             Fact.FREE_GUESS: self.simulate is not None,
         }
         if fact is Fact.SQUARE:
@@ -254,18 +239,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def begun(self, first: First, own: Callable[..., Solution], mesh: Any) -> Solution | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        The kinds of initial points are:
-
-        - `First.GIVEN`: the warm start or guess that the caller gave;
-        - `First.SIMULATED`: a trajectory simulated from the initial states;
-        - `First.LEAST_VIOLATION`: the point of least constraint violation near the last iterate of
-          the failed solve;
-        - `First.COARSE`: the optimum on a coarse mesh;
-        - `First.PRICED`: the optimum of the elastic program, in which the equations over time may
-          be violated at a penalty;
-        - `First.REDUCED`: the point of least constraint violation near the caller's warm start or
-          guess. The solve from this point leaves out redundant conditions: constraints at single
-          times that follow from the other equations.
+        The members of `First` name the kinds of initial points.
 
         Parameters
         ----------
@@ -301,22 +275,15 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _simulated(self) -> Any:
         """Return a trajectory simulated from the initial states, as an initial point.
 
-        The result is None in three cases:
-
-        - the model has controls or free initial states;
-        - the caller gave a guess or a warm start;
-        - the caller gave no tolerance.
+        The result is None if the attribute `simulate` is None or returns None.
         """
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:
         """Return the result `found` of a solve, with a message in two special cases.
 
-        - If the solve diverged, the message names the unbounded variable.
-        - If the solve was successful, but the model has more equations than free unknowns, a note
-          states that some of the equations follow from others.
-
-        In all other cases `found` is returned unchanged.
+        If the solve diverged, the message names the unbounded variable. If a solved model has more
+        equations than free unknowns, a note says that some follow from others.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)
@@ -324,13 +291,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
         """Solve without redundant conditions, and check that the solution satisfies them.
 
-        A condition is a constraint at a single time. A condition is redundant if it follows from
-        the other equations. An example is an end condition on a conserved quantity. On a coarse
-        mesh, the problem with redundant conditions may have no solution, or spurious solutions.
-
-        First, the constraint violation is minimised near the caller's warm start or guess. At the
-        resulting point, the redundant conditions are detected. The solve without these conditions
-        starts from there.
+        A condition is a constraint at a single time. It is redundant if it follows from other
+        equations, such as an end condition on a conserved quantity.
 
         Parameters
         ----------
@@ -345,6 +307,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
             None if no condition is redundant, if the solve fails, or if its solution violates a
             redundant condition.
         """
+        # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))
         least = violation_of(near, self.options, self.progress)
         if least is None or least.result.status is Status.INTERRUPTED:
@@ -356,6 +319,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         )
         if not left_out:
             return None
+        # On a coarse mesh, the problem with redundant conditions may have no solution, or spurious
+        # solutions.
         reduced = partial(solve_on, instance=without(self.instance, left_out))
         solution = self.finish(reduced, mesh, Start(guess=near.trajectory))
         bounds = self.bounds_of(solution.program)

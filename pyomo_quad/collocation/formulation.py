@@ -52,10 +52,9 @@ if TYPE_CHECKING:
 class WrittenComponents:
     """CasADi expressions of model components over time, available without the Pyomo model.
 
-    A `TemplateWriter` translates components on demand, and needs the Pyomo model for this. A pickle
-    of a problem does not contain the Pyomo model. In a problem that is restored from a pickle, an
-    object of this class replaces the `TemplateWriter`: it holds the finished translations of all
-    components.
+    In a problem that is restored from a pickle, an object of this class replaces the
+    `TemplateWriter`. The writer translates components on demand, for which it needs the Pyomo
+    model.
 
     Parameters
     ----------
@@ -99,22 +98,16 @@ class WrittenComponents:
 class Evaluator:
     """Evaluator of model components at single times, by compiled and cached CasADi functions.
 
-    A component is a variable, derivative or named expression over time. The CasADi function that
-    evaluates it has five inputs, which are values at one time:
-
-    - rates: derivatives of the states with respect to the fraction of the horizon;
-    - states;
-    - algebraic variables;
-    - static variables, which do not depend on time;
-    - data: fraction of the horizon, time-dependent parameters, constant parameters.
-
-    Rates and states begin with the states of the nonlinear program. The output states follow:
-    states on which neither the objective nor other equations depend.
+    A component is a variable, derivative or named expression over time.
 
     Parameters
     ----------
     inputs : tuple of casadi.SX
-        Column vectors of the symbols of these five inputs.
+        Column vectors of the symbols of five inputs of the functions: rates (derivatives of the
+        states with respect to the fraction of the horizon); states; algebraic variables; static
+        variables, which do not depend on time; and data (fraction of the horizon, time-dependent
+        parameters, constant parameters). The columns of rates and of states cover first the states
+        of the nonlinear program, then the output states.
     writer : TemplateWriter or WrittenComponents
         Source of the expressions of the components.
     """
@@ -145,10 +138,8 @@ class Evaluator:
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the recipe by which `pickle` stores and restores this evaluator.
 
-        The recipe holds the symbols of the evaluator's inputs, and the expressions of all
-        components of the model. For a component without an expression, it holds the reason. CasADi
-        expressions cannot be pickled, and are therefore serialised into one text. The compiled
-        functions are not stored. The restored evaluator compiles them again at first use.
+        The recipe holds the symbols of the inputs. For each component, it also holds the
+        expression, or the reason why there is none.
 
         Returns
         -------
@@ -162,6 +153,8 @@ class Evaluator:
                 written[name, index] = self._writer.over_time(name, index)
             except TranscriptionError as error:
                 written[name, index] = str(error)
+        # CasADi expressions cannot be pickled, and are therefore serialised into one text. The
+        # restored evaluator compiles its functions again at first use.
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
@@ -271,9 +264,8 @@ _NEWTON_TOLERANCE = 1e-13
 class OutputStates:
     """Solver for the output states, which affect neither the objective nor other equations.
 
-    An example of an output state is an energy that is only reported. Output states are left out of
-    the nonlinear program. For a given solution of the program, this class solves the collocation
-    equations of the output states by Newton's method.
+    An example is an energy that is only reported. The nonlinear program leaves output states out.
+    After its solution, Newton's method computes them from their own collocation equations.
     """
 
     def __init__(self, compiled: CompiledModel) -> None:
@@ -303,12 +295,8 @@ class OutputStates:
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        Output states are states on which neither objective nor other equations depend. `declared`
-        are the declarations of the model, with its parameters and output states.
-
-        The model may declare a condition for an output state at the start of the horizon. The
-        initial value follows from this condition. Without such a condition, the initial value is
-        NaN.
+        A value follows from the condition that the model declares at the start of the horizon.
+        Without such a condition it is NaN.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -345,9 +333,6 @@ class OutputStates:
         self, layout: Layout, start: FloatArray, path_variables: FloatArray, data: FloatArray
     ) -> FloatArray:
         """Solve the collocation equations of the output states by Newton's method.
-
-        Output states are states on which neither objective nor other equations depend. They are not
-        among the unknowns of the nonlinear program, and are computed from its solution.
 
         Parameters
         ----------
@@ -475,9 +460,8 @@ class Formulation:
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
         """Return a copy of the formulation together with a copy of its Pyomo model.
 
-        `memo` is required by the protocol of `copy.deepcopy`: a dictionary of the objects copied so
-        far. The key is the identity of an object, and the value is its copy. This method adds the
-        formulation.
+        `memo`, from `copy.deepcopy`, maps the identities of the objects copied so far to their
+        copies. The method adds the formulation.
         """
         memo[id(self)] = other = object.__new__(type(self))
         vars(other).update(deepcopy(vars(self), memo))
@@ -517,14 +501,8 @@ class Formulation:
     def required_breakpoints(self, instance: Instance) -> tuple[float, ...]:
         """Return the fractions of the horizon at which an element of every mesh must end.
 
-        The result lists, in increasing order, the fractions between 0 and 1 at which one of these
-        occurs:
-
-        - a constraint at a single time is imposed;
-        - a variable is fixed;
-        - a time-dependent parameter jumps.
-
-        `instance` is the data of one solve, which include the times of the jumps.
+        The fractions lie between 0 and 1, in increasing order. They belong to constraints at single
+        times, fixed variables, and jumps of time-dependent parameters in `instance`.
         """
         declared = self.compiled.declared
         fractions = {p.fraction for p in declared.point_symbols} | {f for _, f in declared.fixed}
@@ -582,12 +560,8 @@ class Formulation:
     def data_at_starts(self, instance: Instance) -> FloatArray:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
-        A jump is a discontinuity of a time-dependent parameter. The bounds of variables at these
-        times depend on the returned values; the function `bounds_of` of the module `program.bounds`
-        evaluates the bounds. `instance` holds the parameter values of one solve.
-
-        The result has shape (1 + n_jumps, n_data). The columns are the fraction of the horizon, the
-        time-dependent parameters and the constant parameters.
+        The shape is (1 + n_jumps, n_data). The columns are the fraction of the horizon, the
+        time-dependent and the constant parameters. `bounds_of` needs these values.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -595,9 +569,8 @@ class Formulation:
     def program(self, mesh: Mesh | None, instance: Instance) -> Transcription:
         """Return the nonlinear program on a mesh, with the data of one solve.
 
-        The structure of the program (sparsity, index arrays) is cached for the last four meshes.
-        `mesh` is None for a model without time. `instance` holds the data of the solve: parameter
-        values, horizon and fixed variables.
+        `mesh` is None for a model without time. `instance` holds parameter values, horizon and
+        fixed variables. The structure of the program is cached for the last four meshes.
         """
         data = self.data_of(instance, mesh.point_fractions if mesh else np.zeros(0))
         if mesh not in self._programs:
@@ -721,21 +694,14 @@ class StructuralIndex:
 def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
-    The structural index is the number of times by which the equations must be differentiated to
-    obtain an ODE; it is 0 for an ODE. The result also has the index 0 in three cases, in which the
-    method cannot be applied:
-
-    - the model has no equations over time;
-    - the model has more equations than variables;
-    - it is impossible to assign to each equation a different variable that occurs in the equation.
-
-    `declared` are the declarations of the model, with its equations. Controls count as unknowns,
-    like all algebraic variables. An equation that contains states only makes the index higher, even
-    if controls influence these states through other equations.
+    The index is the number of differentiations that turn the equations into an ODE. It is 0 for an
+    ODE, and where the method cannot be applied.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """
     equations = [e for e in declared.equations if e.is_equality]
+    # Controls count as unknowns, like all algebraic variables. An equation among states alone
+    # raises the index, even if controls influence these states through other equations.
     names = [s.name for s in (*declared.states, *declared.algebraics)]
     rates = {s.rate.name(): s.name for s in declared.states}
     orders = np.full((len(equations), len(names)), _ABSENT)
@@ -748,6 +714,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     if not equations or len(equations) > len(names):
         return StructuralIndex(index=0, differentiated={})
     rows, columns = linear_sum_assignment(orders, maximize=True)
+    # No assignment gives each equation a different variable that occurs in it.
     if np.any(orders[rows, columns] == _ABSENT):
         return StructuralIndex(index=0, differentiated={})
     counts = np.zeros(len(equations))

@@ -53,9 +53,9 @@ def initial_point(
 ) -> FloatArray:
     """Return an initial point that is interpolated between known values, inside the bounds.
 
-    Known values come from a guess, from `initialize` rules of the model, from the values of its
-    variables, and from boundary conditions. Algebraic variables without a known value are computed
-    from the equations that define them.
+    Known values come from the guess, from `initialize` rules and values of the model's variables,
+    and from boundary conditions. Other algebraic variables are computed from the equations that
+    define them.
 
     Parameters
     ----------
@@ -112,14 +112,8 @@ def first_point(
 ) -> FloatArray:
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
-    The point is computed in three steps:
-
-    - The function `initial_point` interpolates a point between known values.
-    - The function `on_path_equalities` moves the states until they satisfy the equations that
-      contain states alone.
-    - The function `with_consistent_algebraics` adjusts the algebraic variables, so that the
-      equations nearly hold at each collocation point. This step is only taken if a constraint, or a
-      first derivative of a constraint or of the objective, is NaN.
+    States are moved until they satisfy the equations among states alone. Algebraic variables are
+    adjusted if a constraint, or a first derivative of a constraint or of the objective, is NaN.
 
     Parameters
     ----------
@@ -133,7 +127,7 @@ def first_point(
         The user's initial values of the variables; see `Guess`.
     seed : int, default 0
         Seed of random numbers. If `seed` is above 0, the function `scattered` draws a random point
-        between the bounds. It replaces the interpolated point of the first step.
+        between the bounds. It replaces the interpolated point of `initial_point`.
 
     Returns
     -------
@@ -142,6 +136,7 @@ def first_point(
     z = initial_point(program, bounds, values, guess)
     z = scattered(program, bounds, z, seed) if seed else z
     z = on_path_equalities(program, bounds, z)
+    # The adjusted variables nearly satisfy the equations at each collocation point.
     return z if is_defined(program, z) else with_consistent_algebraics(program, bounds, z)
 
 
@@ -200,9 +195,8 @@ class _Known:
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        The user's guess is the attribute `given`, a mapping or a DataFrame. The entry `name` of the
-        guess is a function of time, a constant, or a sequence of samples. For samples, the entry
-        "time" has their times, and the result is interpolated linearly.
+        The entry `name` of the guess is a function of time, a constant, or samples. Samples are
+        interpolated linearly between the times in the entry "time".
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -220,9 +214,8 @@ class _Known:
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
         """Compute the algebraic variables that equations define and that have no known value.
 
-        `z` is the initial point, shape (n_unknowns,). The result is a copy of `z` with the computed
-        values, moved inside the bounds. If any computed value is infinite or NaN, the result is `z`
-        itself.
+        The result is a copy of the initial point `z` with these values, moved inside the bounds. If
+        a computed value is infinite or NaN, the result is `z` itself.
         """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns
@@ -244,15 +237,11 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Set initial values of the free times, and correct them so that all times increase.
+        """Set the free times in the initial point `z` such that all times increase.
 
-        A declared time is a member of the continuous set. A free time is a static variable (a
-        variable without time) that gives the physical time of a declared time. If neither the model
-        nor the guess has a value of this variable, its initial value is the declared time, moved
-        inside the bounds.
-
-        The array `z` holds the initial values of all unknowns of the program, and is changed in
-        place.
+        A free time is a static variable of the model: a physical time that the solve determines. If
+        neither guess nor model gives its value, it begins at the time declared in the continuous
+        set. The array `z` is changed in place.
         """
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
@@ -261,6 +250,7 @@ class _Known:
         free = {k: slots[t.name()] for k, t in enumerate(clock.times) if str(t) in slots}
         for k, static in free.items():
             slot = statics[static]
+            # A free time without a value in model and guess begins at the declared time.
             if self.values.static_value(slot) is None and slot.name not in self.given:
                 z[columns[static]] = _inside(clock.declared[k], bounds, int(columns[static]))
         times = program.times(z)
@@ -330,12 +320,8 @@ _PROJECTIONS, _LEFT = 30, 1e-9
 def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Move states as little as possible until they satisfy the equations among states alone.
 
-    An example of such an equation is a path that a vehicle must follow. Afterwards, the algebraic
-    variables are adjusted to the moved states.
-
-    These equations contain neither rates nor controls, and have index 2. Their derivatives
-    therefore tell Ipopt little about the rates and controls that the path requires. For this
-    reason, the states are moved before Ipopt starts.
+    An example of such an equation is a path that a vehicle must follow. The algebraic variables are
+    then adjusted to the moved states.
 
     Parameters
     ----------
@@ -361,6 +347,8 @@ def on_path_equalities(program: Transcription, bounds: Bounds, z: FloatArray) ->
     path, n = compiled.path, layout.n_states
     of_states = (path.jacobian_columns >= n) & (path.jacobian_columns < 2 * n)
     others = np.unique(path.jacobian_rows[~of_states])
+    # These equations contain neither rates nor controls, and have index 2. Their derivatives tell
+    # Ipopt little about the rates and controls that they require, so the states are moved first.
     rows = np.setdiff1d(np.flatnonzero(compiled.is_equality), others)
     if program.mesh is None or not rows.size:
         return z
@@ -395,14 +383,9 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point inside the bounds.
 
-    For a static variable (a variable without time), one random value is drawn. For a variable over
-    time, four random values at equally spaced times are drawn, and interpolated linearly. The
-    distribution depends on the bounds of the variable:
-
-    - If both bounds are below 1e6 in magnitude, the random values are uniformly distributed between
-      the bounds, and replace the values in the given point `z`.
-    - Otherwise, the random values are normally distributed with mean 0, and are added to the values
-      in `z`. The standard deviation is the largest magnitude of the variable in `z`, at least 1.
+    A static variable gets one random value. A variable over time gets four, at equally spaced
+    times, and is linear between them. If both bounds are below 1e6 in magnitude, the values are
+    uniformly distributed between them. Otherwise they are normally distributed around `z`.
 
     Parameters
     ----------
@@ -436,6 +419,7 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
                 values = generator.uniform(lower, upper, _INSTANTS)
                 moved[own] = np.interp(fractions, instants, values)
             else:
+                # The standard deviation is the variable's largest magnitude in `z`, but at least 1.
                 size = max(1.0, float(np.max(np.abs(z[own]), initial=0.0)))
                 values = generator.normal(scale=size, size=_INSTANTS)
                 moved[own] += np.interp(fractions, instants, values)
@@ -443,15 +427,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Return the initial value `number` of an unknown, moved inside the unknown's bounds.
+    """Return the initial value `number` of the unknown `column`, moved inside its bounds.
 
-    `bounds` are the bounds of all unknowns, and `column` is the position of this unknown among
-    them. If `number` lies inside the bounds, it is returned unchanged. If it is NaN or lies
-    outside, the result is:
-
-    - the middle between the bounds, if both are finite;
-    - the finite bound, if only one is finite;
-    - infinity, if neither is finite. In this case, `number` is NaN.
+    If the value is NaN or outside, and both bounds are finite, the result is their middle. If only
+    one bound is finite, the result is this bound. If none is finite, the result for NaN is inf.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
@@ -472,8 +451,7 @@ def known_names(declared: Declarations) -> set[str]:
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
     """Raise an error if a name in a user's guess is no variable of the model.
 
-    `guess` has names of variables as keys or columns; "time", for the times of samples, is also
-    allowed. `program` is a nonlinear program of the model, from which the names are read.
+    The keys or columns of `guess` are names of variables, or "time" for the times of samples.
     """
     known = known_names(program.compiled.declared)
     for name in guess:

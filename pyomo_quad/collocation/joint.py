@@ -389,8 +389,8 @@ class JointProblem(Summarised):
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
         """Return a list with the mesh of each horizon, in the order of the horizons.
 
-        `mesh` is the user's argument: one mesh for all horizons, or a mapping from the names of the
-        horizons to meshes. If `mesh` is None, all entries of the list are None.
+        `mesh` is one mesh for all horizons, or a mapping from their names to meshes. If it is None,
+        all entries of the list are None.
 
         Raises
         ------
@@ -418,14 +418,9 @@ class JointProblem(Summarised):
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
         """Split the user's guess into one guess per horizon, and a guess for all other variables.
 
-        A key of `guess` is the name of a variable or of a horizon:
-
-        - The value for a variable is the guess for this variable.
-        - The value for a horizon is a mapping with the guesses for the variables of this horizon.
-          It replaces all other guesses for these variables.
-
-        The result is a list in the order of the horizons. The last item is the guess for the
-        variables that belong to no horizon.
+        If `guess` has an item with the name of a horizon, this item is the guess for the horizon.
+        All other guesses for the horizon's variables are then ignored. The last item of the result
+        is the guess for variables that belong to no horizon.
 
         Raises
         ------
@@ -545,11 +540,8 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return a failed solution with a verdict: whether its problem is infeasible.
 
-        Ipopt minimises the sum of constraint violations, starting from the last iterate of the
-        solution `failed`. The verdict follows from the least sum.
-
-        `options` are the settings of Ipopt for this minimisation. `progress`, if given, is called
-        at each iteration; returning False stops the minimisation.
+        The verdict follows from the least sum of constraint violations that Ipopt finds near the
+        last iterate. If `progress` returns False, the minimisation stops.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -638,9 +630,8 @@ class JointProblem(Summarised):
     ) -> tuple[FloatArray, Multipliers | None]:
         """Return the initial point of the joint program, and the multipliers of a warm start.
 
-        `union` joins the nonlinear programs of all horizons, `bounds` are the bounds of its
-        unknowns, and `start` is the warm start or guess that the caller gave. The point has shape
-        (n_unknowns,) and lies inside the bounds. The multipliers are None without a warm start.
+        The point has shape (n_unknowns,) and lies inside `bounds`. The multipliers are None if
+        `start` has no warm start.
         """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
@@ -660,11 +651,8 @@ class JointProblem(Summarised):
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
         """Compute the values of one horizon that the coupling uses, and write them to `z`.
 
-        The coupling consists of the objective and of the constraints on several horizons. The
-        coupling may use a value of a horizon, for example the derivative of a state at the end of
-        the horizon. The joint program then has a static variable (a variable without time) for this
-        value. This method computes the value from the unknowns of the horizon, and writes it to the
-        entry of the static variable in `z`.
+        The coupling has a static variable (a variable without time) for each such value. An example
+        is the derivative of a state at the end of the horizon.
 
         Parameters
         ----------
@@ -688,16 +676,8 @@ class JointProblem(Summarised):
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
         """Raise an error if the joint program cannot be evaluated or its equations cannot be met.
 
-        An error is raised in two cases:
-
-        - At the point `z`, a value is infinite or NaN: a constraint, the objective, or a derivative
-          of them.
-        - The program has more equations than free unknowns, and its equations are linear and
-          contradict each other. An equation is a constraint with equal bounds. A free unknown has
-          unequal bounds.
-
-        `union` joins the nonlinear programs of all horizons to the joint program. `bounds` are the
-        bounds of the unknowns and constraints of the joint program.
+        The program cannot be evaluated if a constraint, the objective or a derivative is infinite
+        or NaN at `z`. The function `refuse_overdetermined` checks the equations.
         """
         held = set()
         for k, program in enumerate(union.programs):
@@ -710,11 +690,8 @@ class JointProblem(Summarised):
     def load(self, solution: JointSolution) -> None:
         """Load a solution's values into the variables of the Pyomo model.
 
-        Variables over time receive their values at the declared times, the members of the
-        continuous sets.
-
-        Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
-        if the model declares them as imported suffixes.
+        Variables over time receive values at the members of the continuous sets. The imported
+        suffixes `dual`, `rc` and `costate`, if declared, receive duals, reduced costs and costates.
 
         Parameters
         ----------

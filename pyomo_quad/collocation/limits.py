@@ -44,8 +44,8 @@ class Violation:
 def outside(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
     """Return by how much values lie outside their bounds, relative to max(1, abs(bound)).
 
-    Here `bound` is the violated bound: the lower bound if the value is below it, or the upper bound
-    if the value is above it. The result is 0 for a value between its bounds.
+    Here `bound` is the violated bound, lower or upper. The result is 0 for a value between its
+    bounds.
 
     Parameters
     ----------

@@ -57,11 +57,11 @@ class RadauRule:
 def barycentric_weights(nodes: FloatArray) -> FloatArray:
     """Return the barycentric weights of distinct nodes in the unit interval, shape (n_nodes,).
 
-    For the nodes x_j, the weight is w_j = 1 / prod over k != j of 4 (x_j - x_k). The factor 4, the
-    inverse of the logarithmic capacity of the interval, avoids underflow and overflow at high
-    degree. It multiplies all weights by the same number, which cancels in barycentric
-    interpolation.
+    For the nodes x_j, the weight is w_j = 1 / prod over k != j of 4 (x_j - x_k). See
+    docs/theory/transcription.md, eq. (2).
     """
+    # The factor 4, the inverse of the logarithmic capacity of the interval, avoids underflow and
+    # overflow at high degree. It cancels in barycentric interpolation.
     differences = 4.0 * (nodes[:, None] - nodes[None, :])
     np.fill_diagonal(differences, 1.0)
     return np.asarray(1.0 / np.prod(differences, axis=1), dtype=float)
@@ -274,9 +274,9 @@ class Trajectory:
 class Timeline:
     """Mapping between fractions of the declared horizon and physical time, linear in each phase.
 
-    The declared horizon is the range of the continuous set in the Pyomo model. A free time is a
-    physical time that the solve determines. The free times divide the horizon into phases. The
-    boundary between two phases belongs to the earlier phase.
+    The declared horizon is the range of the continuous set in the Pyomo model. Free times, which
+    the solve determines, divide it into phases. The boundary between two phases belongs to the
+    earlier phase.
 
     Attributes
     ----------
@@ -357,10 +357,8 @@ class Timeline:
     def _phases(self) -> tuple[list[float], list[tuple[float, float, float]]]:
         """Data of the phases as Python numbers, for the method `fraction_at`.
 
-        The first list holds the physical times at which one phase ends and the next phase begins.
-        The second list holds three numbers for each phase: the physical time at which the phase
-        begins, the fraction of the declared horizon at this time, and the slope. The slope is the
-        change of the fraction per unit of physical time.
+        The first list holds the physical times between phases. The second holds, for each phase,
+        its first physical time, its first fraction, and the fraction per unit of time.
         """
         slopes = np.diff(self.fractions) / np.diff(self.times)
         columns = self.times[:-1].tolist(), self.fractions[:-1].tolist(), slopes.tolist()
@@ -369,15 +367,14 @@ class Timeline:
     def fraction_at(self, time: float) -> float:
         """Return the fraction of the declared horizon at one physical time.
 
-        The declared horizon is the range of the continuous set in the Pyomo model. The method
-        `fraction` gives the same result for arrays of times. For a single time, this method is
-        several times faster. Simulations call it in each evaluation of the equations.
+        For a single time, this method is several times faster than `fraction`.
 
         Parameters
         ----------
         time : float
             Physical time.
         """
+        # Simulations call this method in each evaluation of the equations.
         ends, phases = self._phases
         phase = bisect_left(ends, time)
         start, first, slope = phases[phase]

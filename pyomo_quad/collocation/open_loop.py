@@ -105,11 +105,8 @@ class OpenLoopSteps:
     ) -> FloatArray:
         """Return the joint state at the end of a time span that needs several steps.
 
-        A step whose estimated error is above the tolerance is halved.
-
-        `joint` is the joint state at the start of the span. `span` has the start and the end of the
-        span [s]. `control` returns the controls at an array of times [s]. `tolerance` is the
-        largest error of a step, absolute and relative.
+        `joint` is the joint state at the start of `span` [s]. `control` returns the controls at
+        times [s]. Steps whose error is above `tolerance`, absolute and relative, are halved.
 
         Raises
         ------
@@ -136,15 +133,8 @@ class OpenLoopSteps:
     ) -> Iterator[tuple[Any, ...]]:
         """Return the times and the inputs of n Runge-Kutta steps, one tuple per step.
 
-        A tuple holds five items:
-
-        - the start and the end of the step [s];
-        - the inputs of the function that `_step` returns, except the joint state: the
-          time-dependent inputs of the equations at all stages, the controls at all stages, and the
-          duration of the step [s].
-
-        `starts` and `ends` have the times of the steps [s], shape (n,). `control` returns the
-        controls at an array of times [s].
+        A tuple has five items: start [s], end [s], time-dependent inputs at all stages, controls at
+        all stages, and duration [s]. `control` returns the controls at times [s].
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C
@@ -160,13 +150,8 @@ class OpenLoopSteps:
     ) -> tuple[FloatArray, float]:
         """Return the joint state after one step, and the step's error relative to the tolerance.
 
-        The second number is estimated error / tolerance. It is infinite if the new joint state is
-        not finite.
-
-        `joint` is the joint state before the step. `inputs` are the other inputs of the function
-        that `_step` returns: the time-dependent inputs of the equations at all stages, the controls
-        at all stages, and the duration of the step [s]. `tolerance` is the largest error, absolute
-        and relative.
+        The error is infinite if the new state is not finite. `inputs` are the last three items of a
+        tuple from `_inputs`. `tolerance` is absolute and relative.
         """
         outputs = self._step(joint[None, :], *(values[None, :] for values in inputs))
         after, high, low = (output[0] for output in outputs)

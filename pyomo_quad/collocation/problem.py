@@ -87,10 +87,8 @@ class Problem(Summarised, Formulation):
     def summary(self) -> dict[str, str]:
         """Objective, numbers of components, and structural index of the DAE, as text by label.
 
-        The components that are counted are: states, output states, algebraic variables, static
-        variables, equations over time, conditions and parameters. Output states are states on which
-        neither the objective nor other equations depend. Conditions are constraints at single
-        times. Numbers equal to 0 are left out. The index is shown if it is at least 2.
+        Components are states, output states, algebraic variables, static variables, equations over
+        time, conditions and parameters. Numbers equal to 0 and an index below 2 are left out.
         """
         declared = self.compiled.declared
         counts = {
@@ -282,8 +280,7 @@ class Problem(Summarised, Formulation):
         """Simulate a model without controls from its initial states, as an initial guess.
 
         `mesh` is the mesh of the guess; element boundaries are added where the solve needs them,
-        for example at jumps of parameters. `instance` holds the parameter values and the horizon of
-        the solve.
+        for example at jumps of parameters.
 
         Returns
         -------
@@ -327,9 +324,8 @@ class Problem(Summarised, Formulation):
     def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
         """Solve from the given start and from `starts` - 1 random points; return the best optimum.
 
-        `first` is the given start, and `solve` is a function from a start to the solution on the
-        first mesh. Random points at which an equation is undefined are skipped. If a solve is
-        interrupted, no further points are tried. The result is None if no solve converged.
+        `solve` maps a start to the solution on the first mesh. The result is None if no solve
+        converged. After an interruption, no further points are tried.
         """
         found = []
         for seed in range(starts):
@@ -488,11 +484,8 @@ class Problem(Summarised, Formulation):
     def load(self, solution: Solution) -> None:
         """Load a solution's values into the variables of the Pyomo model.
 
-        Variables over time receive their values at the declared times, the members of the
-        continuous set.
-
-        Duals, reduced costs and costates are loaded into the suffixes `dual`, `rc` and `costate`,
-        if the model declares them as imported suffixes.
+        Variables over time receive values at the members of the continuous set. The imported
+        suffixes `dual`, `rc` and `costate`, if declared, receive duals, reduced costs and costates.
 
         Parameters
         ----------
@@ -515,9 +508,7 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    The general function `refine` of the module `refining.refinement` handles several horizons, and
-    takes a tuple of meshes, one per horizon. This function calls `refine` for one horizon, with
-    tuples of length one.
+    This function calls `refine`, which accepts several horizons, with tuples of one mesh.
 
     Parameters
     ----------
@@ -604,14 +595,9 @@ def march(
 def load_values(*solutions: Solution) -> None:
     """Load the values of solutions into the Pyomo model to which they belong.
 
-    Each solution covers one horizon (continuous set) of the model, or the variables of no horizon.
-    The values are loaded into:
-
-    - static variables (variables without time);
-    - variables and derivatives over time, at the declared times (the members of the continuous
-      sets);
-    - components of the type `pyomo.dae.Integral`;
-    - imported suffixes, such as `dual`.
+    With several horizons, there is one solution per horizon, and one for variables that belong to
+    no horizon. The values go to variables, to derivatives at the declared times, to
+    `pyomo.dae.Integral` components, and to imported suffixes.
     """
     for solution in solutions:
         declared, values = solution.problem.compiled.declared, solution.problem.values

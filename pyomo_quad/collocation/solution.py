@@ -48,12 +48,10 @@ _JUST_BEFORE = 1e-9
 
 
 def hamiltonian_warnings(solution: Solution) -> tuple[str, ...]:
-    """Return a warning if the Hamiltonian varies although the problem is autonomous.
+    """Return a warning if the Hamiltonian varies although nothing depends on time explicitly.
 
-    A problem is autonomous if nothing in it depends on time explicitly. Its Hamiltonian is then
-    constant along an optimum. It may jump only at a time inside the horizon at which a condition
-    holds, such as the time of a waypoint. If the Hamiltonian varies otherwise by more than mesh
-    errors can explain, the costates are wrong.
+    The Hamiltonian is then constant along an optimum, except for jumps at interior conditions such
+    as waypoints. If mesh errors cannot explain the variation, the costates are wrong.
 
     Parameters
     ----------
@@ -284,8 +282,8 @@ class Solution(Outcome):
     def _state_and_costate_errors(self) -> dict[str, str]:
         """Return the lines of the solution's summary on the errors of states and costates.
 
-        The result maps the label of each line to its text, an estimated error. It is empty if the
-        errors of the states were not estimated, or if the model has no states.
+        The result maps labels to texts. It is empty if the errors of the states were not estimated,
+        or if the model has no states.
         """
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
@@ -310,11 +308,11 @@ class Solution(Outcome):
         """Reference magnitude for changes of the objective, in the unit of the objective.
 
         The value is max(abs(objective), min(1 / s, 10 max(1, abs(objective)))), where s is the
-        scaling factor of the objective. The number 1 / s is the size of the objective's derivatives
-        at the initial point. It is limited because a penalty term may make the derivatives far
-        larger there than near the solution.
+        scaling factor of the objective.
         """
         size = abs(self.objective)
+        # 1 / s is the size of the objective's derivatives at the initial point. It is limited
+        # because a penalty term may make the derivatives far larger there than near the solution.
         return max(size, min(1.0 / self.scaling.objective, _STEEPEST * max(1.0, size)))
 
     @cached_property
@@ -332,15 +330,14 @@ class Solution(Outcome):
     def mesh_in_time(self) -> Mesh:
         """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
-        The boundaries of the attribute `mesh` are instead fractions of the declared horizon, the
-        range of the model's continuous set. The two meshes differ only if the solve determines
-        times inside the horizon. These times divide the horizon into phases. For example, a phase
-        may be half of the declared horizon but a third of the physical duration. The values at the
-        nodes are the same on both meshes.
+        The boundaries of `mesh` are fractions of the model's continuous set instead. The two meshes
+        differ only if the solve determines times inside the horizon. The values at the nodes of
+        `mesh` are also the values at the nodes of this mesh.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
         (start, end), times = self.horizon, self.timeline.time(np.array(self.mesh.breakpoints))
+        # A phase may be half of the declared horizon but a third of the physical duration.
         shares = ((times[1:-1] - start) / (end - start)).tolist()
         return Mesh(breakpoints=(0.0, *shares, 1.0), degrees=self.mesh.degrees)
 
@@ -356,9 +353,8 @@ class Solution(Outcome):
     def output_states(self) -> FloatArray:
         """Values of the output states at the nodes, shape (n_points + 1, n_outputs).
 
-        Output states are states on which neither objective nor other equations depend, for example
-        an energy that is only reported. They are not unknowns of the nonlinear program, and are
-        computed at first access.
+        Neither the objective nor other equations depend on an output state. An example is an energy
+        that is only reported. Output states are not unknowns of the program.
         """
         program, outputs = self.program, self.problem.outputs
         if not len(outputs) or program.mesh is None:
@@ -542,11 +538,10 @@ class Solution(Outcome):
     def costate_errors(self) -> dict[str, float]:
         """Estimated largest error of each costate over the horizon, by the name of its state.
 
-        The error is relative to the costate's largest magnitude. A costate may jump where a limit
-        on a state becomes active or inactive. If the jump is inside an element, the error is as
-        large as the jump. The error is at least `state_error`, the estimated error of the states,
-        which is infinite if it was not estimated.
+        It is relative to the costate's largest magnitude, and at least `state_error`. If a costate
+        jumps inside an element, the error is as large as the jump.
         """
+        # A costate may jump where a limit on a state becomes active or inactive.
         own = costate_errors_of(
             self.program,
             self.unknowns,
@@ -562,10 +557,8 @@ class Solution(Outcome):
     def warnings(self) -> tuple[str, ...]:
         """Warnings about a converged solution, one line each; empty if it has not converged.
 
-        The result contains the warnings of the solve (the attribute `notes`), for example that some
-        equations follow from others. If the problem does not depend on time explicitly, the exact
-        Hamiltonian is constant. The result then has a further warning if the computed Hamiltonian
-        varies by more than mesh errors can explain.
+        They are the `notes` of the solve, for example that some equations follow from others, and a
+        warning if a Hamiltonian that should be constant varies.
         """
         return (*self.notes, *hamiltonian_warnings(self)) if self.is_converged else ()
 

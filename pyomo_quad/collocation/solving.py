@@ -76,9 +76,8 @@ class _WholeSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether `fact`, a condition for trying a solution strategy, is true at present.
 
-        `Fact.WARM_START` is true if the caller gave a warm start. `Fact.COLD_FAILED` is true after
-        two events: the solve from the warm start exceeded its budget, and the following solve from
-        the guess failed.
+        `Fact.COLD_FAILED` is true after the warm start exceeded its budget and the following solve
+        from the guess failed.
         """
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
@@ -121,11 +120,12 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether no further solution strategy needs to be tried.
+        """Return whether no further solution strategy needs to be tried; `found` is ignored.
 
-        The result is False if the last solve was stopped at its budget of iterations, or if the
-        solve from the guess after it failed. The argument `found`, the result of the last solve, is
-        ignored.
+        The result is False in two cases:
+
+        - The solve from the warm start used up its budget of iterations.
+        - The next solve, which started from the guess, failed.
         """
         del found
         return self.has_ended
@@ -141,11 +141,9 @@ def within_budget(
 ) -> S:
     """Solve from a warm start; if its budget of iterations is used up, solve from the guess.
 
-    A warm start is useful only if it is faster than a solve from the guess (cold start). The budget
-    is therefore the number of iterations that the cold start took: one number for the first mesh,
-    and one for all meshes together. If the solve from the warm start exceeds one of these numbers,
-    the problem is solved from the guess. If this also fails, the solve from the warm start
-    continues from its last iterate, without a budget.
+    The budget is two numbers of iterations: those that an earlier solve from the guess took on the
+    first mesh, and on all meshes. If the new solve from the guess fails, the solve from the warm
+    start is continued without a budget.
 
     Parameters
     ----------
@@ -169,6 +167,8 @@ def within_budget(
         Result of the solve that was carried out last, converged or not.
     """
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
+    # A warm start is useful only if it is faster than a solve from the guess (cold start). The
+    # iterations of the cold start are therefore its budget.
     known = known if known is not None and known.tolerance == demand else None
     whole = _WholeSolve(solve=solve, start=start, known=known, tolerance=demand, progress=progress)
     return first_success(Scope.WHOLE, whole)
@@ -187,10 +187,8 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined if the caller gave a tolerance or did not give a mesh. If a refinement is
-    interrupted or fails, the solution on the most accurate finished mesh is returned, with the
-    status of the failure. The status and message of the result record doubts about it. An example
-    is an interpolation table that is evaluated outside the range of its data.
+    The mesh is refined if the caller gave a tolerance or no mesh. A refinement that fails or is
+    interrupted returns its most accurate solution, with the status of the failure.
 
     Parameters
     ----------
@@ -245,6 +243,7 @@ def carried_out(
         deadline,
         is_known=is_known,
     )
+    # Status and message record doubts, such as a table evaluated outside its data.
     return doubted(_finished_of(finished, _in_time(solution, deadline)))
 
 

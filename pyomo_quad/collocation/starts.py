@@ -141,10 +141,7 @@ class WarmStart:
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
         """Interpolate the warm start to another mesh and horizon, at equal physical times.
 
-        The multiplier of a constraint at a collocation point is proportional to the duration that
-        the point represents: its quadrature weight times the length of the horizon. Multipliers are
-        therefore divided by the durations of the old points, interpolated in time, and multiplied
-        by the durations of the new points. Multipliers of bounds are kept non-negative.
+        Multipliers are interpolated per unit of time. Multipliers of bounds are kept non-negative.
 
         Parameters
         ----------
@@ -163,6 +160,8 @@ class WarmStart:
             was.fraction(now.time(fractions))
             for fractions in (mesh.node_fractions, mesh.point_fractions)
         )
+        # The multiplier of a constraint at a collocation point is proportional to the duration that
+        # the point represents: its quadrature weight times the length of the horizon.
         old = self.mesh.quadrature_weights * was.span_at(self.mesh.point_fractions)
         new = mesh.quadrature_weights * now.span_at(mesh.point_fractions)
         path, sides = self.trajectory, (self.lower, self.upper)

@@ -145,8 +145,8 @@ class SteppedLoops:
     ) -> list[FloatArray]:
         """Return those inputs of one Runge-Kutta step that are the same for all vehicles.
 
-        The step leads from the time `begin` to the time `end` [s]. The function `command` maps a
-        time [s] to the command that the control law follows, for example a reference position.
+        The step leads from `begin` to `end` [s]. `command` maps a time [s] to the command that the
+        control law follows.
 
         Returns
         -------

@@ -149,10 +149,9 @@ class Strategy:
     def settings(self, options: SolverOptions) -> SolverOptions:
         """Return the settings of Ipopt with which the strategy solves.
 
-        `options` are the caller's settings. If the attribute `barrier` is None, they are returned
-        unchanged. Otherwise the result is a copy with two changes: `mu_strategy` has the value
-        `barrier`, and the limit of iterations is the lower of the caller's limit and the attribute
-        `iterations`.
+        If the attribute `barrier` is None, they are the caller's `options`. Otherwise, Ipopt's
+        option `mu_strategy` is set to `barrier`. The limit of iterations is then the smaller of two
+        limits: that in `options` and the attribute `iterations`.
         """
         if self.barrier is None:
             return options
@@ -222,11 +221,9 @@ S = TypeVar("S", bound=Any)
 class Search(ABC, Generic[S]):
     """Loop that tries solution strategies one after another until one of them succeeds.
 
-    A search tries the strategies of one part of a solve: whole solve, first mesh, next mesh or
-    restart (see `Scope`). They are tried in the order in which the table `STRATEGIES` lists them.
-
-    Subclasses define three things: how a strategy is carried out, whether a condition is true, and
-    which results end the search.
+    A search tries the strategies of one `Scope` in the order of the table `STRATEGIES`. Subclasses
+    define how a strategy is carried out, whether a condition is true, and which results end the
+    search.
     """
 
     @abstractmethod

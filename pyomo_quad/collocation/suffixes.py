@@ -31,12 +31,9 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
-    The objective is taken as the Pyomo model declares it, whether minimised or maximised. The
-    derivative is with respect to:
-
-    - the constant side of a constraint;
-    - the value of a bound;
-    - the value of a state at one time (the costate).
+    The objective is taken as the Pyomo model declares it, minimised or maximised. The derivative is
+    with respect to the constant side of a constraint, the value of a bound, or a state at one time
+    (costate).
 
     Attributes
     ----------
@@ -54,27 +51,23 @@ class Sensitivities:
     def add(self, name: str, price: Callable[[float], float]) -> None:
         """Add the derivative with respect to a component over time, as a function of time.
 
-        `name` is the name of the component, and `price` the function: time -> derivative of the
-        objective.
-
-        If the component has a stored function already, `price` is added to it. This happens for a
-        limit with a lower and an upper side: each side has its own function. Only one side can be
-        active at a time; the function of the other side is then zero.
+        `price` is the function: time -> derivative of the objective. If a function is stored for
+        the component `name`, the two are summed.
         """
         held = self.over_time.get(name)
         if held is None:
             self.over_time[name] = price
         else:
+            # Each side of a limit has its own function. Only one side can be active at a time; the
+            # function of the other side is then zero.
             self.over_time[name] = lambda time: held(time) + price(time)
 
 
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    The suffixes hold derivatives of the objective that the Pyomo model declares: with respect to
-    the constant side of a constraint (`dual`), to a bound of a variable (`rc`), and to a state
-    (`costate`). For a constraint or bound over time, the derivative is per unit of time. A pickled
-    problem has lost its model; the function then does nothing.
+    For constraints and bounds over time, the derivatives are per unit of time. A pickled problem
+    has lost its model; its suffixes are not filled.
 
     Parameters
     ----------
@@ -137,9 +130,8 @@ def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], f
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
     """Return the multiplier of a constraint or bound per unit of time, as a function of time.
 
-    The function is a polynomial in each element. Its argument is a time within the range of the
-    model's continuous set. `density` has the values of the function at the collocation points of
-    `solution`, shape (n_points,).
+    The argument is a time within the range of the model's continuous set. `density` has the values
+    at the collocation points, shape (n_points,).
     """
 
     def at(time: float) -> float:
@@ -192,13 +184,12 @@ def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
 def _widths(solution: Solution) -> FloatArray:
     """Return the duration that each collocation point represents, shape (n_points,).
 
-    The points are those of the mesh of `solution`. The duration of a point is its quadrature weight
-    times the derivative of physical time with respect to the fraction of the horizon. This
-    derivative is normally the length of the horizon. If the solve determines times inside the
-    horizon, each phase between these times has its own derivative. A multiplier divided by the
-    duration of its point is a derivative of the objective per unit of time.
+    It is the quadrature weight times the derivative of physical time with respect to the fraction
+    of the horizon. A multiplier divided by it is per unit of time.
     """
     mesh = solution.mesh
+    # The derivative is the length of the horizon. If the solve determines times inside the horizon,
+    # each phase between them has its own derivative.
     return np.asarray(solution.timeline.span_at(mesh.point_fractions) * mesh.quadrature_weights)
 
 

@@ -44,9 +44,8 @@ def without_bound(solution: Solution) -> Solution:
 def with_surplus(solution: Solution) -> Solution:
     """Add a note to a successful solution of a model with more equations than free unknowns.
 
-    The note states that some of the equations follow from others, and that the multipliers are not
-    unique. The result is a copy of `solution` with the note. If the solve failed, or if there are
-    no more equations than unknowns, `solution` is returned unchanged.
+    The note states that some equations follow from others, and that the multipliers are not unique.
+    Any other solution is returned unchanged.
     """
     if solution.bounds.surplus <= 0 or not solution.status.is_solved:
         return solution
@@ -150,8 +149,8 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
 def violation(failed: Solution, row: int, slack: float) -> tuple[str, str]:
     """Return the name of a violated equation, and a line for a message.
 
-    The line gives the name of the equation and the violation. For an equation over time, it also
-    gives the time, the element of the mesh and the collocation point of the violation.
+    The line gives the name and the violation. For an equation over time, it adds the time, the
+    element and the collocation point.
 
     Parameters
     ----------
@@ -214,9 +213,8 @@ _RANGE_SLACK = 1e-6
 def outside_tables(solution: Solution) -> str:
     """Return a message on a table that the solution evaluates outside the range of its data.
 
-    A table interpolates data over a range of its argument, and has no meaning outside that range.
     The message names the table whose argument lies farthest outside, with the value of the
-    argument. The message is empty if all arguments are inside.
+    argument. It is empty if all arguments are inside.
     """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables
@@ -259,9 +257,7 @@ def doubted(solution: S) -> S:
 def _without_objective(solution: S) -> S:
     """Add a message to a converged solution of a problem that has no objective.
 
-    The message says that nothing was optimised. The result is a copy of `solution` with the
-    message. If the problem has an objective, or the solution has not converged, `solution` is
-    returned unchanged.
+    The message says that nothing was optimised. Any other solution is returned unchanged.
     """
     declared = solution.parts[0].problem.compiled.declared
     if declared.objective_name or solution.status is not Status.CONVERGED:
@@ -275,12 +271,13 @@ def _without_objective(solution: S) -> S:
 def _undoubted(solution: S) -> S:
     """Change the status of a converged solution if its optimality conditions are meaningless.
 
-    The status becomes "tolerance not met" if multipliers diverge and the Hamiltonian is not
-    constant. Together, these two signs cast doubt on the optimum. If the problem depends on time
-    explicitly, the status stays unchanged, because even the exact Hamiltonian varies.
+    The status becomes "tolerance not met" if multipliers diverge and a Hamiltonian varies that
+    should be constant.
     """
     for part in solution.parts if solution.status is Status.CONVERGED else ():
         names, warnings = diverging_multipliers(part), hamiltonian_warnings(part)
+        # Only both signs together cast doubt on the optimum. If the problem depends on time
+        # explicitly, even the exact Hamiltonian varies, and there is no warning.
         if names and warnings:
             line = (
                 f"{', '.join(names)}: multipliers grow without bound, and the point may not be an "
@@ -294,13 +291,13 @@ def _undoubted(solution: S) -> S:
 def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    A table is an interpolation table of the model. The message of the result names the table. If
-    `solution` has failed anyway, it keeps its status, and the line on the table is appended to its
-    message. If all tables are evaluated inside their ranges, `solution` is returned unchanged.
+    The message of the result names the table. A solution that has failed for another reason keeps
+    its status, and the text about the table is appended to its message.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution
     if solution.status is not Status.CONVERGED:
         return solution.updated(message=f"{solution.message} {line}")
+    # A table has no meaning outside the range of its data.
     return solution.updated(status=Status.NOT_CONVERGED, message=line)

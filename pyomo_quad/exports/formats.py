@@ -58,9 +58,9 @@ _WORLD, _BODY = "map", "base_link"
 def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Make the stream of setpoints for PX4's offboard mode.
 
-    Each row of the result is a MAVLink message SET_POSITION_TARGET_LOCAL_NED with axes x north, y
-    east, z down. In the plan, x is east, y is north, and yaw is counter-clockwise from east. In the
-    message, yaw is clockwise from north.
+    Each row is a MAVLink message SET_POSITION_TARGET_LOCAL_NED: x north, y east, z down, yaw
+    clockwise from north. In the plan, x is east, y is north, and yaw is counter-clockwise from
+    east.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, flo
 def write_bag(motion: Motion, rate_hz: float, folder: Path) -> int:
     """Write a plan as a ROS 2 bag with a single trajectory message.
 
-    The world axes are x east, y north and z up, the body axes x forward, y left and z up (REP 103).
-    Linear velocities and accelerations are in world axes, angular velocities in body axes.
+    World axes are x east, y north, z up; body axes x forward, y left, z up (REP 103). Linear
+    velocities and accelerations are in world axes, angular velocities in body axes.
 
     Parameters
     ----------

@@ -162,10 +162,8 @@ def read_mission(
 ) -> ImportedMission:
     """Convert a mission file of QGroundControl (.plan) or Mission Planner to a scenario.
 
-    The flight of the scenario begins with hovering at the altitude of the take-off and ends with
-    hovering above the landing place; its duration is free. The ground is assumed to be flat, so
-    that an altitude above the terrain counts as a height above the home position. Exclusion fences
-    become keep-out zones without bottom and top. An inclusion circle becomes an inscribed polygon.
+    The flight begins with hovering at the altitude of the take-off, and ends with hovering above
+    the landing place. Its duration is free. The ground is assumed to be flat.
 
     Parameters
     ----------
@@ -182,7 +180,10 @@ def read_mission(
     Returns
     -------
     ImportedMission
-        The scenario, its text, and the contents of the file that a scenario cannot represent.
+        The scenario, its text, and the contents of the file that a scenario cannot represent. An
+        altitude above the terrain counts as a height above the home position. Exclusion fences
+        become keep-out zones without bottom and top. An inclusion circle becomes an inscribed
+        polygon.
 
     Raises
     ------
@@ -314,9 +315,8 @@ def _plan_file(document: object, source: str) -> _File:
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
     """Yield the commands of a QGroundControl mission.
 
-    `items` is the list of the mission's items in the JSON file. A complex item, such as a survey,
-    is replaced by its commands. Waypoints that `exports.ground_station` has added only to shape the
-    path are left out. Error messages begin with the text `source`, the name of the file.
+    A complex item, such as a survey, is replaced by its commands. Waypoints that only shape the
+    path are left out. Error messages begin with `source`, the name of the file.
     """
     for k, written in enumerate(items, start=1):
         where, item = f"{source}, item {k}", _table(written)
@@ -419,16 +419,14 @@ def _apart(home: GeodeticOrigin, *places: _Place) -> float:
 def _place_of(
     item: _Item, read: _File, first: _Place | None, last: _Place | None, notes: Counter[str]
 ) -> _Place | None:
-    """Return the place to which a command makes the vehicle fly.
+    """Return the place to which a command leads, or None if it leads to no place.
 
-    The result is None for a command that does not make the vehicle fly to a place. For some
-    commands, other places of the mission determine the result:
+    For some commands, other places of the mission determine the result:
 
     - A return to the launch place leads to the first place.
-    - A landing leads to a place above the landing point, at the height of the first place, because
-      the flight of a scenario ends in hover.
-    - A command without latitude and longitude takes both from the last place before it. If there is
-      no last place, it takes them from the home position.
+    - A landing leads to a place above the landing point, at the height of the first place.
+    - A command without latitude and longitude takes both from the last place or, at the start of
+      the mission, from the home position.
 
     Parameters
     ----------
@@ -456,6 +454,7 @@ def _place_of(
         longitude = read.home.longitude if near is None else near["longitude"]
     latitude, longitude = _on_globe([latitude, longitude], item.where)
     height = _height(item, read.home, notes)
+    # The flight of a scenario ends in hover.
     if item.command in _LANDINGS and first is not None:
         height = first.position["height"]
     if item.command in _CIRCLED:
@@ -557,9 +556,8 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
 def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str, Any]:
     """Return the scenario's table `mission` (TOML): origin, start, goal, waypoints, rally points.
 
-    The start and the goal of a scenario always have a heading. If the file gives only one of the
-    two headings, both get this heading, so that the vehicle need not turn. In contrast to
-    waypoints, start and goal have no time of hover and no radius.
+    Start and goal have no time of hover and no radius. If the file gives only one of their
+    headings, both get this heading.
 
     Parameters
     ----------
@@ -577,6 +575,8 @@ def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str
             notes["the time of hover at an end of the flight"] += 1
         if place.radius:
             notes["the acceptance radius at an end of the flight"] += 1
+    # Start and goal of a scenario always have a heading. With equal headings, the vehicle need not
+    # turn.
     yaws = [place.yaw for place in (start, goal) if place.yaw is not None]
     first, last = ({"yaw": yaws[0]}, {"yaw": yaws[-1]}) if yaws else ({}, {})
     return {
@@ -599,9 +599,8 @@ def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str
 def _airspace(read: _File, source: str) -> dict[str, Any]:
     """Return the scenario's table `airspace` (TOML), with the fence of a ground station's mission.
 
-    The inclusion fence becomes the field `keep_in`; more than one inclusion fence is an error.
-    Exclusion fences become keep-out zones, field `keep_out`. `read` is the content of the mission
-    file. Error messages begin with the text `source`, the name of the file.
+    The inclusion fence becomes `keep_in`; a second one is an error. Exclusion fences become zones
+    in `keep_out`. Error messages begin with `source`, the name of the file.
     """
     inside: list[list[dict[str, float]]] = []
     zones: list[dict[str, Any]] = []

@@ -1,11 +1,11 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
-The exported waypoints include the start, the waypoints and the goal of the plan's scenario. Further
-waypoints are added so that the straight legs between all waypoints follow the curved path of the
-plan. QGroundControl's file marks the added waypoints. `exports.ground_missions` recognises the
-marks and leaves these waypoints out when it converts the file back to a scenario. The files are
-QGroundControl's plan file (developer guide, Plan File Format: version 1, with missions and fences
-of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
+Waypoints are added to those of the scenario so that straight legs follow the curved path of the
+plan. QGroundControl's file marks the added waypoints. `exports.ground_missions` leaves them out
+when it converts the file back to a scenario.
+
+The files are QGroundControl's plan file (developer guide, Plan File Format: version 1, with
+missions and fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
 """
 
 from collections.abc import Mapping, Sequence
@@ -119,10 +119,8 @@ class Legs:
 def thin(motion: Motion, path_error_m: float) -> Legs:
     """Approximate a plan by few straight legs, within a given distance of the plan at all times.
 
-    At first, each leg leads from one waypoint of the mission to the next. The deviation is the
-    distance between the positions on plan and leg at the same time. A leg with too large a
-    deviation is split at the time of its largest deviation, until all legs are close enough. This
-    is the top-down time-ratio algorithm of Meratnia and de By (2004).
+    The distance is that of the positions on plan and leg at the same time. Source: top-down
+    time-ratio algorithm of Meratnia and de By (2004).
 
     Parameters
     ----------
@@ -135,6 +133,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
     passed = _passing_times(motion)
     t = np.union1d(motion.samples(_CHECKED / motion.duration), passed)
     place = motion.position(t)
+    # At first, each leg leads from one waypoint of the mission to the next.
     ends = sorted({0, len(t) - 1, *np.searchsorted(t, passed).tolist()})
     kept, spans = set(ends), list(pairwise(ends))
     while spans:
@@ -143,6 +142,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
         straight = place[first] + share * (place[last] - place[first])
         far = np.linalg.norm(place[first : last + 1] - straight, axis=1)
         worst = first + int(np.argmax(far))
+        # A leg with too large a deviation is split at the time of its largest deviation.
         if far.max() > path_error_m:
             kept.add(worst)
             spans += [(first, worst), (worst, last)]
@@ -167,8 +167,8 @@ def mission(
 ) -> dict[str, Any]:
     """Convert a plan to the content of a QGroundControl plan file, as nested mappings.
 
-    The file has the fence and the rally points of the plan's scenario. Keep-out zones with a bottom
-    or a top are left out of the file's fence, because the flight may pass below or above them.
+    The file has the fence and the rally points of the scenario. Keep-out zones with a bottom or a
+    top are left out.
 
     Parameters
     ----------
@@ -303,12 +303,12 @@ def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[li
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
     """Return the geofence of a QGroundControl plan file, as nested mappings.
 
-    The geofence consists of the scenario's fence, in which the flight must remain, and of its
-    keep-out zones. Zones with a bottom or a top are left out. `origin` is the position of x = y = z
-    = 0 on earth.
+    It consists of the scenario's fence, in which the flight must remain, and of its keep-out zones
+    without bottom and top.
     """
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]
+    # The flight may pass below or above a zone with a bottom or a top.
     endless = [zone for zone in airspace.keep_out if _is_endless(zone)]
     rings += [(False, zone.corners) for zone in endless if zone.corners is not None]
     polygons = [

@@ -352,8 +352,8 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    The table does not say which quantities are states and which are controls. In the result, every
-    quantity is therefore both. The equations of motion select the quantities that they need.
+    The table does not tell states from controls. In the result, every quantity is therefore listed
+    twice: as a state and as a control.
 
     Parameters
     ----------
@@ -370,6 +370,8 @@ def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectori
         zero.
     """
     times = frame[TIME].to_numpy(dtype=float)
+    # The table does not say which quantities are states and which are controls. The equations of
+    # motion select the quantities that they need.
     columns = [c for c in ALL_COLUMNS if c.name in frame]
     names = tuple(c.variable for c in columns)
     values = frame[[c.name for c in columns]].to_numpy(dtype=float)
@@ -468,9 +470,8 @@ def fit_pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
-    The number of pieces is increased until the deviation of position and yaw is small enough. The
-    spline has degree 7, and its derivatives up to the sixth are continuous. At both ends of the
-    flight the spline has the plan's velocity, acceleration and jerk.
+    The spline has degree 7 and continuous derivatives up to the sixth. At both ends of the flight
+    it has the plan's velocity, acceleration and jerk.
 
     Parameters
     ----------

@@ -174,12 +174,13 @@ def _hovering(
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
     """Return the charge missing from the full battery at the start of the flight [A h].
 
-    `scenario` gives the initial state of charge. In the model `dynamics`, the state of charge is a
-    linear function of the missing charge. The inverse of this function gives the result.
+    The result is the charge q with s(q) = `scenario.battery.initial_state_of_charge`. The function
+    s gives the state of charge in the model `dynamics`.
     """
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
+    # The state of charge is a linear function of the missing charge.
     full, less = dynamics.evaluate(_STATE_OF_CHARGE, np.zeros(2), states, controls).tolist()
     return (scenario.battery.initial_state_of_charge - full) / (less - full)
 
@@ -352,9 +353,8 @@ def fly(
 def closed_loop(dynamics: Dynamics, controller: AdaptiveController) -> ClosedLoop:
     """Return the compiled closed loop of a vehicle and its adaptive controller.
 
-    The closed loop is a system of differential equations for the joint states of vehicle and
-    controller. The initial values of the controller's states are not part of the system.
-    Controllers that differ only in these values therefore have the same closed loop.
+    Its differential equations are for the joint states of vehicle and controller. Controllers that
+    differ only in the initial values of their states have the same closed loop.
 
     Parameters
     ----------
@@ -375,10 +375,9 @@ def closed_loop(dynamics: Dynamics, controller: AdaptiveController) -> ClosedLoo
 class _Loop:
     """Closed loop of vehicle and controller as a system of differential equations.
 
-    The joint state of the system holds the states of the vehicle, the states of the controller, and
-    the energy spent. `system` is the compiled right-hand side of the differential equations.
-    `dynamics` has the equations of the vehicle. `controller` follows the path `reference`. `guard`
-    counts the evaluations of the right-hand side, and raises an error if the vehicle tumbles.
+    The joint state holds the states of vehicle and controller, and the energy spent. `system` is
+    the compiled right-hand side. `guard` counts its evaluations, and raises an error if the vehicle
+    tumbles.
     """
 
     def __init__(
@@ -399,8 +398,8 @@ class _Loop:
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
         """Return the joint state of vehicle, controller and energy at the initial time t [s].
 
-        `state` is the initial state of the vehicle. `last` is the final state of the controller in
-        the previous part of the flight, or None if there is no previous part.
+        `last` is the final state of the controller in the previous part of the flight. It is None
+        if there is no previous part.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -454,11 +453,10 @@ _INSTANT = 1e-4
 
 
 def baseline_name(reference: Reference, speed: float | None = None) -> str:
-    """Return the name of a flight under feedback, for comparisons with other flights.
+    """Return the name of a flight under feedback, such as "adaptive/cruise 6 m/s".
 
-    Examples of names are "adaptive/quintic" and "adaptive/cruise 6 m/s". `reference` is the kind of
-    path that the adaptive controller follows. `speed` is the cruise speed [m/s] if that path is an
-    autopilot's cruise, else None.
+    `reference` is the kind of path that the adaptive controller follows. `speed` is the speed of an
+    autopilot's cruise [m/s], None for another path.
     """
     return f"adaptive/{reference.value}" + ("" if speed is None else f" {speed:g} m/s")
 
@@ -468,12 +466,8 @@ def fly_baseline(
 ) -> Flight:
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
-    Two integrators that share no code simulate the flight. The flight is verified if both of these
-    conditions hold:
-
-    - The integrators agree on the final position and the energy, within the tolerances that apply
-      to plans.
-    - The battery can supply the power.
+    The flight is verified if the battery can supply the power, and two integrators that share no
+    code agree. Final position and energy must agree within the tolerances of plans.
 
     Parameters
     ----------
@@ -485,9 +479,9 @@ def fly_baseline(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        The plan to follow, if the reference is the plan. With any reference, the final costates of
-        a given plan serve to estimate the energy still needed: from the final state of the flight
-        to hover at the goal.
+        The plan to follow, if the reference is the plan. For every reference, the final costates of
+        a given plan are used to estimate the energy still needed at the end of the flight. This is
+        the energy to get from the final state to hover at the goal.
 
     Returns
     -------
@@ -717,12 +711,8 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    The check differs from that of a plan in two points:
-
-    - At a waypoint, the tolerances on arrival at the goal apply: `ARRIVAL_DISTANCE_M` [m] on the
-      distance, and `ARRIVAL_SPEED_M_PER_S` [m/s] on the speed.
-    - In a mission with constant heading, the yaw rate is not checked, because feedback must be free
-      to turn the vehicle back to this heading.
+    At a waypoint, the tolerances on arrival at the goal apply: `ARRIVAL_DISTANCE_M` [m] and
+    `ARRIVAL_SPEED_M_PER_S` [m/s]. In a mission with constant heading, the yaw rate is not checked.
 
     Parameters
     ----------
@@ -754,9 +744,14 @@ def broken_under_control(
 class _Missed:
     """Record of a waypoint that a flight passes too far away or too fast.
 
-    `limit` is the name of the violated constraint in the Pyomo model. `relative` is the violation
-    relative to the larger of 1 and the limit. `words` is a text for the user with the limit and the
-    actual distance [m] or speed [m/s].
+    Attributes
+    ----------
+    limit : str
+        Name of the violated constraint in the Pyomo model.
+    relative : float
+        Violation relative to the larger of 1 and the limit.
+    words : str
+        Text for the user with the limit and the actual distance [m] or speed [m/s].
     """
 
     limit: str
@@ -767,10 +762,8 @@ class _Missed:
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
     """Yield a record for each violated limit on distance or speed at a waypoint.
 
-    `flown` has the samples of the flight, `dynamics` the order of their states, and `scenario` the
-    waypoints. Only waypoints with given times are checked. The tolerances are those on arrival at
-    the goal: `ARRIVAL_DISTANCE_M` [m] on the distance, and `ARRIVAL_SPEED_M_PER_S` [m/s] on the
-    speed.
+    Only waypoints with given times are checked. The tolerances are those on arrival at the goal:
+    `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s].
     """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
@@ -844,9 +837,7 @@ def _yaw_acceleration(
 ) -> FloatArray:
     """Return the time derivative of the planned yaw rate by central differences [rad/s^2].
 
-    `dynamics` has the plan's equations; `states` and `controls` are the plan's values at the n
-    `times` [s]. The result, shape (n,), is the yaw acceleration of the reference path that the
-    controller follows.
+    `states` and `controls` are the plan's values at the n `times` [s]. The result has shape (n,).
     """
     steps = _INSTANT * np.array(
         [dynamics.rates(t, x, u) for t, x, u in zip(times.tolist(), states, controls, strict=True)]
@@ -861,12 +852,9 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons, in words, why a simulated flight is not verified.
 
-    `flown_twice` has two simulations of each part of the flight, by different integrators. `flown`
-    is the whole flight as simulated by the first integrator. `dynamics` is the simulated vehicle.
-
-    There are two kinds of reasons. First, the two integrators differ too much in the final position
-    or in the energy. Second, the battery cannot supply the power, the charge or the voltage that
-    the flight needs.
+    Reasons are that two integrators differ, or that the battery lacks power, charge or voltage.
+    `flown_twice` has two simulations of each part of the flight, one by each integrator. `flown` is
+    the whole flight, simulated by the first integrator.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
@@ -904,9 +892,8 @@ def _doubts(
 def _joined(parts: Sequence[Flown]) -> Flown:
     """Join consecutive parts of a simulated flight into one flight.
 
-    `parts` has the samples of each part. The energy of a part counts from the start of the part; in
-    the result, the energy counts from the start of the flight. The last sample of a part equals the
-    first sample of the next part, and is included once.
+    The energy of a part counts from its start, the energy of the result from the start of the
+    flight. The sample that two parts share is included once.
     """
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
@@ -923,9 +910,8 @@ def _joined(parts: Sequence[Flown]) -> Flown:
 def refuse_other_vehicles(scenario: Scenario, dynamics: Dynamics) -> None:
     """Raise an error if the vehicle model lacks a state that the controller measures.
 
-    The controller measures position, velocity, attitude and body rates. The tuple `MEASURED_STATES`
-    has the names of these states. `dynamics` is the vehicle model. The error message begins with
-    the name of `scenario`.
+    The tuple `MEASURED_STATES` has the names of these states. The error message begins with the
+    name of `scenario`.
 
     Raises
     ------

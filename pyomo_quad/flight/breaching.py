@@ -42,10 +42,9 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 class LimitDistance:
     """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
-    The constraint is a path constraint, such as the limit on the roll angle. It has a lower bound,
-    an upper bound, or both. The distance is the difference between the bound and the constrained
-    quantity, here the roll angle. It is positive within the bound and negative beyond it. The
-    flights follow one plan under feedback. The arrays have one entry for each of n times.
+    The distance is the difference between the bound, such as the limit on the roll angle, and the
+    constrained quantity. It is positive within the bound. The flights follow one plan under
+    feedback, at n times.
 
     Attributes
     ----------
@@ -82,14 +81,9 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        A plan with a margin m must keep at least the distance m from the limit. The statistics
-        belong to the present plan. The distance of the new plan at each time is predicted from the
-        distance d of the present plan:
-
-        - If the present plan is at its margin, d becomes the new margin.
-        - Otherwise, d becomes max(d, new margin).
-
-        The distance of the mean flight changes by the same amount.
+        Let d be the distance of the present plan from the limit. At times at which d equals the
+        present margin, the new plan has the distance `changed`. At other times, it has the distance
+        max(d, `changed`).
 
         Parameters
         ----------
@@ -105,15 +99,15 @@ class LimitDistance:
         """
         is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
         to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
+        # The distance of the mean flight changes by the same amount as that of the plan.
         return _crossing(self.distance + (to_come - self.planned), self.deviation, self.correlation)
 
     def margin_for(self, share: float, present: float, largest: float) -> float:
         """Return the smallest margin at which the probability of breaking the limit is low enough.
 
-        `share` is the largest acceptable probability. A margin is the amount by which the limit is
-        tightened for a plan, in the unit of the limit. `present` is the margin of the plan for
-        which these statistics were computed. `largest` is the largest margin considered; it is
-        returned if even it is too small.
+        `share` is the largest acceptable probability, and `present` the margin of the present plan.
+        The result is at most `largest`, even if that margin does not suffice. Margins are in the
+        unit of the limit.
         """
         if self.probability(present, 0.0) <= share:
             return 0.0
@@ -239,19 +233,18 @@ def _gradients(spread: Spread) -> dict[str, FloatArray]:
 class Miss:
     """Random samples of flights in turbulence: distance from a goal or waypoint, or speed there.
 
-    The samples are of one quantity that the mission limits: the distance of the vehicle from the
-    goal or waypoint, or the speed of the vehicle there. Each instant at which the limit applies has
-    its own samples.
+    The samples are of one quantity that the mission limits. Each instant at which the limit applies
+    has its own samples.
 
     Attributes
     ----------
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Name of the scenario field, such as the radius of the waypoint, which is tightened for the
-        plan so that fewer flights break the limit. Empty if no field can be tightened, as for the
-        goal, which every plan reaches exactly. Then only a larger reserve of thrust for the
-        controller can help.
+        Name of the scenario field that is tightened so that fewer flights break the limit. An
+        example is the radius of a waypoint. Empty if no field can be tightened, as at the goal,
+        which every plan reaches exactly. Only a larger reserve of thrust for the controller then
+        helps.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -267,8 +260,7 @@ class Miss:
     def probability(self) -> float:
         """Upper bound on the probability that a flight breaks the limit at one of the instants.
 
-        A flight breaks the limit if it is too far from the goal or waypoint, or too fast there. The
-        bound is the sum of the probabilities at the instants at which the limit applies, at most 1.
+        The bound is the sum of the probabilities at the instants, at most 1.
         """
         return float(min((self.off > self.within).mean(axis=1).sum(), 1.0))
 

@@ -60,10 +60,8 @@ _MOST_STRICTER = 4
 class AlongShortest:
     """Starting point of a search for a plan: the mission's solution along its shortest route.
 
-    The search for the best order of the waypoints precedes the search for a plan. It has solved the
-    mission along its shortest route already, on a single coarse mesh. `flight` is that solution.
-    The search for a plan then solves the mission along the other routes only, and compares their
-    solutions with `flight`. Other routes exist in a mission with keep-out zones or a wind field.
+    The search for the best order of the waypoints has found the solution `flight`, on a single
+    coarse mesh. The search for a plan compares it with the solutions along the other routes.
     """
 
     flight: Solution
@@ -214,9 +212,8 @@ class Candidate:
     def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
         """Return the trajectory of a similar problem, for use as an initial guess of the mission.
 
-        `mission` is the problem to solve, `similar` the solution of the similar problem. Both
-        problems have the same static variables (variables that are constant in time), but the order
-        of these variables may differ. The result has the order of `mission`.
+        Both problems have the same static variables, but their order may differ. The result has the
+        order of `mission`.
         """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
@@ -231,9 +228,8 @@ class Candidate:
     def starts_warm(self) -> bool:
         """Return whether the user gave a warm start that fits the mission's problem.
 
-        A warm start has the variables and multipliers of an earlier solve. It fits if the earlier
-        solve had the same variables and equations as the mission's problem. The user gives a warm
-        start directly, or as a part of a plan.
+        It fits if the earlier solve had the same variables and equations. If the user gave a plan,
+        the warm start is that of the plan.
         """
         start = self._warm_start
         return start is not None and start.fits(self.mission.problem.compiled)
@@ -241,10 +237,8 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the solve fails, the next step depends on the mission. With regeneration (braking rotors
-        return energy), the result is kept as a failed solution. Without regeneration, the power has
-        a kink at zero, which makes the problem hard to solve directly. The result is then
-        discarded, and other, better suited strategies are tried.
+        If the model has no regeneration (braking rotors return no energy), a result that has not
+        converged is discarded.
 
         Returns
         -------
@@ -253,6 +247,8 @@ class Candidate:
         """
         # The first mesh is that of the warm start, or the mission's own if the start is discarded.
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
+        # Without regeneration, the power has a kink at zero, which makes the problem hard to solve
+        # directly. Other strategies are better suited.
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
             return solution.status.value
         self.solution = solution
@@ -285,17 +281,17 @@ class Candidate:
     def is_long(self) -> bool:
         """Return whether the flight is so long that steady flight is a good initial guess.
 
-        A long flight takes much longer than the vehicle needs to change its attitude. The result is
-        False in these cases:
+        The result is False in each of these cases:
 
         - The mission is solved already.
-        - The route is not straight.
-        - The model is a user's own.
-        - The model has no regeneration: braking rotors return no energy. The power then has a kink
-          at zero, for which another initial guess is better.
+        - The mission has waypoints or keep-out zones.
+        - The model is the user's own, or has no regeneration.
         """
         mission = self.mission
+        # Without regeneration, braking rotors return no energy. The power then has a kink at zero,
+        # for which another initial guess is better.
         is_simple = self.solution is None and mission.problems.is_declared and not mission.easier
+        # A long flight takes much longer than the vehicle needs to change its attitude.
         return is_simple and is_long(mission.told)
 
     def from_cruise(self) -> str | None:
@@ -357,9 +353,8 @@ class Candidate:
     def has_failed_at_waypoints(self) -> bool:
         """Return whether the mission's solve failed and there is an easier mission to solve first.
 
-        The waypoints of the easier mission have no radius and no speed limit. It differs
-        from the mission only if a waypoint has a radius or a speed limit. The method
-        `past_waypoints` uses the solution of the easier mission as initial guess.
+        The easier mission is the same mission without the radii and speed limits of its waypoints.
+        There is none if no waypoint has a radius or a speed limit.
         """
         return self.has_failed() and self.mission.past_waypoints is not None
 
@@ -407,9 +402,9 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The solve starts from the solution of the last call that succeeded. Without one, it starts
-        from the default guess of the model. The method `speed_up` later solves the mission with its
-        original duration, from the last of these solutions.
+        The solve starts from the solution that the previous call of this method found, if any.
+        Otherwise it starts from the default guess of the model. The new solution is kept as a
+        starting point for the method `speed_up`.
 
         Returns
         -------
@@ -457,11 +452,10 @@ class Candidate:
         return "none found" if self.shortest is None else f"{self.shortest.objective:.4g} s"
 
     def has_shorter(self) -> bool:
-        """Return whether the mission's solve failed although its duration is long enough.
+        """Return whether the mission's solve failed although a flight of allowed duration is known.
 
-        A duration is long enough if it is at least the least duration, which the method
-        `find_shortest` computes. If the duration of the mission is free, the greatest allowed
-        duration counts. The result is False if `find_shortest` found no solution.
+        The known flight is that of least duration, which the method `find_shortest` finds. If it
+        found no flight, the result is False.
         """
         longest = self.mission.told.mission.longest.value
         found = self.shortest
@@ -500,19 +494,13 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The reasons are stored in the attribute `failure`. The status of the solution becomes
-        "infeasible" or "not converged". Nothing changes without a diagnosis.
+        The method sets the attribute `failure` and the status of the solution. If there is no
+        diagnosis, it changes nothing. If `_doubt` finds a reason to believe that the mission is
+        possible, the mission is not judged infeasible. Otherwise it is infeasible in two cases:
 
-        The mission is judged infeasible in two cases:
-
-        - Its duration is below the least duration that `find_shortest` found. If the duration is
-          free, the greatest allowed duration counts.
-        - The solution of the elastic problem, which minimises the violation of the limits, still
-          violates a limit. In addition, `find_shortest` found no flight within the mission's
-          duration.
-
-        The method `_doubt` looks for reasons to believe that the mission is possible. If there is a
-        reason, the mission is not judged infeasible, and the status is "not converged".
+        - Its greatest allowed duration is below the least duration that `find_shortest` found.
+        - The elastic problem still violates a limit, and `find_shortest` found no flight within the
+          mission's duration.
         """
         if self.diagnosis is None:
             return
@@ -531,13 +519,8 @@ class Candidate:
     def _doubt(self) -> str:
         """Return a reason to believe that the mission is possible although all solves failed.
 
-        The reason is a text for the user, empty if there is none. There are two possible reasons:
-
-        - Along at least one route, a solve met all limits on a coarse mesh, and failed only on
-          finer meshes.
-        - In a wind field, a flight may exist along a route that was not tried. The failed solves
-          cannot exclude it, because each searches near one route only. This reason requires that
-          the duration is not below the least duration that `find_shortest` found.
+        The text is empty without a reason. Either a flight kept all limits on a coarse mesh, or
+        routes through a wind field were not tried.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:
@@ -548,6 +531,8 @@ class Candidate:
                 "solver.max_iterations or solver.elements, or leave more room between zones."
             )
         is_long_enough = self.shortest is None or self.has_shorter()
+        # Each solve searches near one route only. Failed solves therefore cannot exclude a flight
+        # along another route, provided that the duration is long enough.
         if has_corridors(self.mission.told) and is_long_enough:
             return (
                 f"no flight was found (routes tried: {len(self.routes)}), but others may lead "
@@ -558,10 +543,8 @@ class Candidate:
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
-        `diagnosis` is the result of the elastic problem, in which all limits may be violated at a
-        penalty. It names the violated limits and the active limits. For each of the first few of
-        these limits, the elastic problem is solved again with only this limit relaxed. The result
-        has the limits for which this solve succeeds, each with the necessary relaxation.
+        The elastic problem is solved with one limit relaxed, for each of the first violated or
+        active limits in `diagnosis`. Each item has the necessary relaxation.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
@@ -596,12 +579,10 @@ class Candidate:
     def breaks_limits(self) -> bool:
         """Return whether solves with stricter limits may turn the solution into a verified plan.
 
-        The result is True if the simulated flight deviates from the plan although the solve
-        converged (see `is_astray`). A broken limit is one kind of deviation.
-
-        The result is always False at the highest accuracy, `proof`, because stricter limits cost
-        energy.
+        The result is True if the simulated flight deviates from the plan (see `is_astray`). For the
+        highest accuracy, `proof`, it is always False.
         """
+        # Stricter limits cost energy, which the highest accuracy does not allow.
         return self.is_astray() and self.scenario.solver.accuracy is not Accuracy.PROOF
 
     def keep_limits(self) -> str | None:
@@ -627,6 +608,8 @@ class Candidate:
             self.search.keep(plan)
             if plan.is_verified or solves == _MOST_STRICTER:
                 break
+            # Stricter limits cannot reduce the energy of a global optimum: `relaxed` is only a
+            # local one. The search then continues from the plan's solution.
             if plan.solution is not None and self._is_better(plan, relaxed):
                 self.solution, self._known = plan.solution, None
                 break
@@ -635,13 +618,8 @@ class Candidate:
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
         """Return whether a plan with stricter limits costs less than the solution without them.
 
-        `plan` is the plan with stricter limits. `relaxed` is the solution with the mission's own
-        limits. The plan costs less if its energy is lower by more than the solver's relative
+        The energy of `plan` must be lower than that of `relaxed` by more than the solver's relative
         tolerance.
-
-        Stricter limits cannot reduce the energy of a global optimum. If the plan costs less,
-        `relaxed` is therefore only a local optimum. The search then continues from the plan's
-        solution.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)
@@ -649,10 +627,8 @@ class Candidate:
     def is_astray(self) -> bool:
         """Return whether the simulated flight deviates from the plan although the solve converged.
 
-        Examples of deviations are a wrong final state, a broken limit, or another energy than
-        planned, beyond the requested tolerances. A finer mesh may then help. The result is False in
-        two cases: the battery cannot supply the simulated flight, which a finer mesh does not
-        change, or the time limit of the search has passed.
+        Examples are a wrong final state, a broken limit, or another energy than planned. The result
+        is False after the time limit, or if the battery lacks power.
         """
         plan = self.flown
         is_over = self.search.deadline.is_over
@@ -664,10 +640,8 @@ class Candidate:
     def tighten(self) -> str | None:
         """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
-        In a long flight without feedback, small errors of the mesh elements add up. The simulated
-        flight may miss the goal although each element meets the tolerance. The new solve begins on
-        the mesh of the present solution, with shorter elements where the simulated flight entered
-        keep-out zones.
+        The solve begins on the present mesh, with shorter elements where the simulated flight
+        entered keep-out zones.
 
         Returns
         -------
@@ -678,6 +652,8 @@ class Candidate:
         found, asked = self.found, self.scenario.solver.accuracy
         plan, figures = self.plan, FIGURES[asked]
         beyond = [b.size / tolerated(b, figures) for b in broken_limits(plan, figures)]
+        # In a long flight without feedback, small errors of the mesh elements add up. The flight
+        # may miss the goal although each element meets the tolerance.
         self._share *= max(_FINER, _HALF / max(beyond)) if beyond else _FINER
         # With corrected controls, a coarse mesh costs no more energy than estimated.
         if asked is Accuracy.PROOF or found.error_estimate > figures.energy:

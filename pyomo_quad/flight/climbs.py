@@ -1,11 +1,10 @@
 """Routes raised over terrain, with climbs and descents on legs that are too low.
 
 A leg is the line between two corners of a route. The floor is the least height above the ground
-that the mission allows. A leg that is below the floor anywhere is replaced by three straight parts:
-a climb, a level part and a descent. The level part is at the greatest height that the floor
-requires along the leg. Climb and descent are just steep enough to clear the floor. If the level
-part is short, it is left out: the climb is extended upwards until it meets the extended descent,
-slightly above the level part.
+that the mission allows. A leg that is below the floor anywhere is replaced by a climb, a level part
+and a descent. The level part is at the greatest height that the floor requires along the leg. Climb
+and descent are just steep enough to clear the floor. A short level part is left out: the extended
+climb and descent meet slightly above it.
 """
 
 from itertools import pairwise
@@ -28,9 +27,8 @@ _HIGHER = 0.1
 def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
     """Return a route raised where its legs are too low over terrain, with additional corners.
 
-    A leg is the straight line between two successive corners of the route. The floor is the least
-    height above the ground that the mission allows. The route is returned unchanged in two cases:
-    the airspace has no terrain or no floor, or the raised route would enter a keep-out zone.
+    The route is returned unchanged if there is no terrain or no floor. It is also returned
+    unchanged if the raised route would enter a keep-out zone.
 
     Parameters
     ----------
@@ -56,12 +54,8 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
     """Return the corners that must be inserted to raise one leg of a route over terrain.
 
-    A leg is the straight line between two successive corners of the route. `ends` has the two ends
-    of the leg [m], shape (2, 3). `floor` is the least height above the ground [m].
-
-    The result has the inserted corners [m], shape (n, 3), without the ends of the leg. It is empty
-    if the leg is high enough. Otherwise it has at most two corners: the end of the climb and the
-    beginning of the descent, or the one corner where both meet.
+    `ends` has the ends of the leg [m]. The result, shape (n, 3), has the ends of the level part, or
+    the one corner where climb and descent meet. It is empty if the leg is high enough.
     """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf

@@ -99,9 +99,8 @@ class Column:
 def _of(block: str) -> Callable[..., Column]:
     """Return a function that makes table columns for the variables of one block of the model.
 
-    `block` is the name of the block in the Pyomo model, such as "rotors". Arguments of the returned
-    function: name of the column, name of the variable within the block, and the other attributes of
-    `Column`.
+    Arguments of the function: name of the column, name of the variable within `block`, and the
+    other attributes of `Column`.
     """
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 

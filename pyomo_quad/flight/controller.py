@@ -1,14 +1,13 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
-The paper by Yacef et al., whose model this package uses, refers to a controller of this kind, but
-does not give its equations. This module has its own controller of the same kind. For the control
-law, the proof by a Lyapunov function and the limits, see docs/theory/controller.md, eqs. (1) to
-(11).
+The paper by Yacef et al., whose model this package uses, refers to such a controller without its
+equations. For the control law of this module, the proof by a Lyapunov function and the limits, see
+docs/theory/controller.md, eqs. (1) to (11).
 
 The control law can be called with numbers or with symbolic variables. With symbolic variables it
-returns expressions, which are compiled together with the equations of the vehicle. For this
-purpose, the law uses only arithmetic and NumPy's scalar functions, without branches (if) that
-depend on values.
+returns expressions, which are compiled together with the equations of the vehicle. The law
+therefore uses only arithmetic and NumPy's scalar functions, without branches (if) that depend on
+values.
 """
 
 from collections.abc import Iterable, Sequence
@@ -151,9 +150,8 @@ class EulerRates:
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
 
-        `attitude` holds roll, pitch and yaw [rad], `body_rates` the angular velocities about the
-        body axes [rad/s]. The derivatives differ from zero because the rates of the angles depend
-        on the changing attitude.
+        They are not zero, because the rates of the three angles depend on the attitude, which
+        changes. `attitude` is in rad, `body_rates` in rad/s.
         """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
@@ -309,9 +307,8 @@ def _steps_within(
 ) -> tuple[float, float]:
     """Return the largest steps, backward and forward, for which all values stay within limits.
 
-    A step s adds s times the vector `direction` to the vector `values`. All results must lie
-    between `low` and `high`. The backward step is negative or zero, the forward step is positive or
-    zero.
+    A step s adds s times `direction` to `values`. The backward step is at most zero, the forward
+    step at least zero.
     """
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
@@ -432,17 +429,10 @@ STATES_PER_LOOP = 3 * _AXES
 class BacksteppingLoop:
     """Adaptive backstepping controller of three double integrators, for position or attitude.
 
-    The three axes are x, y and z, or roll, pitch and yaw. Law and proof: see
-    docs/theory/controller.md, eqs. (1) to (7).
-
-    The loop has nine states, three for each axis:
-
-    - xi_p, the effect of the actuators' lag on the tracking error;
-    - xi_v, the effect of the lag on the rate of the error;
-    - d_hat, the estimated disturbance, an acceleration.
-
-    A tracking error is the actual value minus the reference value. Errors are in m for the position
-    and in rad for the attitude. Rates are in m/s or rad/s, accelerations in m/s^2 or rad/s^2.
+    Each axis has three states: xi_p and xi_v, the effects of the actuators' lag on the tracking
+    error and on its rate, and d_hat, the estimated disturbance (an acceleration). The tracking
+    error is the actual minus the reference value [m or rad]. See docs/theory/controller.md, eqs.
+    (1) to (7).
     """
 
     outer: tuple[float, float, float]
@@ -617,10 +607,9 @@ def _size(vector: Sequence[float]) -> float:
 def followed_tilt(believed: Scenario) -> float:
     """Return the largest tilt that the controller of a scenario commands [rad].
 
-    `believed` is the scenario, with the vehicle, limits and gains that the controller assumes. If
-    the scenario sets `baseline.gains.tilt_max`, this is the largest tilt. Otherwise, it is the tilt
-    at which the vertical component of the largest commanded thrust equals the weight. In either
-    case, the limits on roll and pitch are kept.
+    If `baseline.gains.tilt_max` is set, the result is this value. Otherwise, it is the tilt at
+    which the largest commanded thrust just carries the weight, but at least 0.1 rad. In both cases
+    it is at most the largest tilt that the limits on roll and pitch allow.
     """
     limits, gains, gravity = believed.limits, believed.baseline.gains, believed.gravity
     spare = limits.thrust_max / believed.vehicle.total_mass - gravity
@@ -655,17 +644,16 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The planned acceleration itself stays. If it needs more thrust or tilt than this set allows,
-        the limits of the set are raised as far as it needs. This is safe, because a plan keeps the
-        actual limits of the vehicle.
+        The planned acceleration itself is not reduced. If it needs more thrust or tilt than the
+        limits allow, the limits are raised to what it needs.
 
         Parameters
         ----------
         acceleration : sequence of three floats
             Commanded acceleration of the vehicle, zero in hover [m/s^2].
         planned : sequence of three floats, optional
-            Planned acceleration, zero in hover and without a plan [m/s^2]. If it is zero, the
-            result is parallel to the command.
+            Planned acceleration [m/s^2]. It is zero in hover, and if there is no plan. If it is
+            zero, the result is parallel to the command.
 
         Returns
         -------
@@ -687,11 +675,12 @@ class ThrustEnvelope:
         """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. `planned` is the planned acceleration [m/s^2]. If it needs more thrust or tilt
-        than the limits allow, the limits are raised as far as it needs.
+        direction. `planned` is in m/s^2.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
+        # The limits are raised as far as the planned acceleration needs. This is safe, because a
+        # plan keeps the actual limits of the vehicle.
         reserve = np.fmax(self._reserve, level**2 + lift**2 - gravity**2)
         slope = np.fmax(self._slope, level / np.fmax(lift, _NOUGHT))
         support = np.fmin(_LEAST_SUPPORT * gravity, lift)
@@ -744,9 +733,9 @@ _UNKNOWN_TILTING, _UNPLANNED = (0.0,) * 4, (0.0,) * _AXES
 class AdaptiveController:
     """Adaptive controller of a quadrotor: position loop, command filter, attitude loop, allocation.
 
-    The position loop commands a force, which determines thrust and tilt. The command filter smooths
-    the tilt. The attitude loop commands the moments that make the vehicle follow the filtered tilt.
-    The allocation gives the rotor speeds. See docs/theory/controller.md.
+    The position loop commands thrust and tilt. The command filter smooths the tilt. The attitude
+    loop commands moments that follow the filtered tilt. The allocation gives the rotor speeds. See
+    docs/theory/controller.md.
 
     Parameters
     ----------

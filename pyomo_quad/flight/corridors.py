@@ -1,29 +1,13 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
-A corridor is a route through the wind field that is cheap and lies apart from the other corridors.
-The cost of a route is its energy plus its duration times the price of time [W]. If the duration of
-the mission is free, the mission states this price. If the duration is fixed, the price is chosen so
+The cost of a route is its energy plus the price of time [W] times its duration. If the duration of
+the mission is free, the mission states the price. If the duration is fixed, the price is chosen so
 that the cheapest route takes this duration.
 
-Corridors are found on a grid of points about start and goal. Straight lines join each point of the
-grid to 16 neighbours. Lines through keep-out zones, and lines where the wind is unknown, are not
-used. The cost of any other line is the cost of steady flight along it. For ground speed g, airspeed
-a and power P(a), this cost is (P(a) + price of time) / g per metre. The ground speed is chosen so
-that the cost is least. The airspeed follows from the ground speed and the wind. The wind is taken
-at both ends and in the middle of the line. If the field changes with time, the wind at a place is
-taken at the time at which a flight at constant speed would pass there. The power is tabulated once
-for all airspeeds.
-
-Two searches by Dijkstra's method, from the start and from the goal, give the cheapest route through
-every grid point. The cheapest of these routes is the first corridor. For the next corridor, grid
-points near any route found so far are excluded. The cheapest route through one of the remaining
-points is the next corridor [1]_. The search ends when this route costs much more than the first
-corridor. A route may make a needless detour through its grid point. Corners are therefore removed
-where a straight line costs no more. If the straightened route coincides with an earlier corridor,
-it is discarded.
-
-.. [1] Abraham, Delling, Goldberg and Werneck, "Alternative routes in road networks",
-   ACM Journal of Experimental Algorithmics 18 (2013), on cheapest routes through a given place.
+Dijkstra's method is used twice: from the start and from the goal. The two results together give the
+cheapest route through every grid point. The cheapest of these routes is the first corridor. For
+each further corridor, the grid points near the routes found so far are excluded. See
+docs/theory/routes.md, "Corridors through a wind field".
 """
 
 from collections.abc import Callable
@@ -87,9 +71,7 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
 class WindMap:
     """Horizontal wind at any place and time, by linear interpolation in the data of a wind field.
 
-    `told` is the mission in its forecast wind, which must be a wind field. The Pyomo model
-    represents the wind by a spline. The search for routes uses linear interpolation, which is
-    faster, because it evaluates the wind very often.
+    `told` is the mission in its forecast wind, which must be a wind field.
     """
 
     def __init__(self, told: Scenario) -> None:
@@ -101,6 +83,8 @@ class WindMap:
         values = np.moveaxis(grid.components[:2], 0, -1)
         from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415  for fields alone
 
+        # The Pyomo model represents the wind by a spline. The search for routes evaluates the wind
+        # very often, and linear interpolation is faster.
         self._read = RegularGridInterpolator(
             grid.axes, np.where(np.isfinite(values), values, 0.0), bounds_error=False
         )
@@ -193,8 +177,7 @@ class LineCosts:
     def _passed(self, places: FloatArray) -> FloatArray:
         """Return the time at which a flight along the leg at constant speed passes n places [s].
 
-        A place beside the leg is passed when the flight is at the point of the leg nearest to the
-        place. `places` has shape (n, 3), m; the result has shape (n,).
+        A place beside the leg counts as the nearest point of the leg. `places` has shape (n, 3), m.
         """
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
@@ -215,9 +198,8 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    `told` is the mission in its forecast wind. The result is True if the wind differs between
-    horizontal positions and acts through the airspeed (`wind.coupling = "drag"`). Only then may
-    corridors exist: cheap routes through the wind.
+    `told` is the mission in its forecast wind. The wind must differ between horizontal positions,
+    and act through the airspeed (`wind.coupling = "drag"`).
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
@@ -228,8 +210,7 @@ def has_corridors(told: Scenario) -> bool:
 def estimate_of(journey: Journey) -> float | None:
     """Return the energy of steady flight along a journey [J]; None if it is unknown.
 
-    `journey` is a sequence of routes, one for each leg of the mission from one waypoint to the
-    next. Its energy is the sum of the estimated energies of its routes. It is unknown if a route
+    A journey has one route for each leg from waypoint to waypoint. Its energy is unknown if a route
     has no estimate.
     """
     known = [route.estimate_J for route in journey if route.estimate_J is not None]
@@ -241,10 +222,8 @@ def corridor_journeys(
 ) -> tuple[Journey, ...]:
     """Return journeys along cheap routes through a wind field, and the shortest journey.
 
-    A journey is a sequence of routes, one for each leg of the mission from waypoint to waypoint. A
-    leg may have several cheap routes that lie apart (corridors). A search on a grid finds them, and
-    the journeys are combinations of them. The journey `shortest` is added in every case, because
-    the grid may be too coarse for the search to find it.
+    A journey has one route for each leg from waypoint to waypoint. The journeys are combinations of
+    the corridors of the legs.
 
     Parameters
     ----------
@@ -271,6 +250,7 @@ def corridor_journeys(
         found.append(corridors.routes() or [route])
         straight.append(replace(route, estimate_J=corridors.energy_of(route.places)))
     journeys = sorted(product(*found), key=lambda j: estimate_of(j) or inf)[:_MOST_CORRIDORS]
+    # The grid may be too coarse for the search to find the shortest journey.
     return (*journeys, tuple(straight))
 
 
@@ -351,12 +331,8 @@ def _grid(
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
     """Return the points of the search grid about a leg, and the lines that join them.
 
-    The search for cheap routes (corridors) goes from point to point along the lines. Seen from
-    above, the grid is a rectangle that contains start and goal of the leg with a margin. The height
-    of a grid point is the height of the leg at its horizontally nearest point.
-
-    Each point of the grid is joined to its 16 neighbours. Start and goal are joined to the grid
-    points near them. Lines through keep-out zones are included; they get an infinite cost later.
+    Seen from above, the grid is a rectangle. A grid point has the height of the horizontally
+    nearest point of the leg. Lines through keep-out zones are included.
 
     Parameters
     ----------
@@ -393,6 +369,7 @@ def _grid(
         down = slice(max(dy, 0), counts[1] + min(dy, 0))
         back = slice(max(-dy, 0), counts[1] + min(-dy, 0))
         pairs.append((numbers[: counts[0] - dx, back].ravel(), numbers[dx:, down].ravel()))
+    # Start and goal are joined to the grid points near them.
     for end in (0, 1):
         near = 2 + np.flatnonzero(np.linalg.norm(flat - ends[end, :2], axis=1) <= 3.0 * step)
         pairs.append((np.full(len(near), end), near))

@@ -169,9 +169,8 @@ def propagated(
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances of the states without overflow.
 
-    If the controller cannot follow the plan, the covariance grows without limit. From the first
-    time at which a standard deviation exceeds `_LOST`, a very large number, all standard deviations
-    are set to `_LOST`. Every limit then counts as broken.
+    If a standard deviation exceeds `_LOST` at some time, all standard deviations are set to `_LOST`
+    from this time on. Every limit then counts as broken.
 
     Parameters
     ----------
@@ -189,6 +188,7 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
         are `_LOST`.
     """
     variance = np.diagonal(covariance, axis1=1, axis2=2)
+    # If the controller cannot follow the plan, the covariance grows without limit.
     is_lost = ~np.isfinite(covariance).all(axis=(1, 2)) | (variance > _LOST**2).any(axis=1)
     if not is_lost.any():
         return covariance, onward
@@ -240,10 +240,8 @@ class _MeanFlight:
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the joint states and the commands to the controller at n given times [s].
 
-        A joint state holds the states of vehicle, turbulence filters and controller, and the
-        energy. The array of joint states has shape (n, n_joint). A command is the controller's
-        input, computed from the plan, such as the position to follow. The array of commands has
-        shape (n, n_command), where n_command is the constant `COMMAND_SIZE`.
+        The joint states have shape (n, n_joint). A command is the controller's input, such as the
+        position to follow; the commands have shape (n, COMMAND_SIZE).
         """
         flight = fly(
             dynamics=self.dynamics,
@@ -289,12 +287,10 @@ class _MeanFlight:
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
-        """Return the derivatives of the joint rates with respect to the uncertain parameters.
+        """Return the derivatives of the joint state's rates by the uncertain parameters.
 
-        The joint rates are the time derivatives of the joint state. `joint` and `commands` hold the
-        joint states and the commands to the controller at the n times `t` [s], as the method
-        `flown` returns them. The result has shape (n, n_joint, n_parameters). The derivatives are
-        per standard deviation of each parameter, computed by central differences.
+        They are central differences, per standard deviation of each parameter. The result has shape
+        (n, n_joint, n_parameters). The arguments are those of the method `slopes`.
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)

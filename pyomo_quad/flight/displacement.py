@@ -1,13 +1,11 @@
 """Displacements that move the path of a coarse solution out of keep-out zones.
 
-Between its collocation points, the path of a solution on a coarse mesh may cut corners of keep-out
-zones. A vehicle that follows the path under feedback then enters the zones too; the module
-`flight.tracking` simulates such a flight. While the simulated flight is inside a zone, the path is
-displaced outwards. The flight is then simulated again. Each attempt costs one simulated flight, and
-no solve. See docs/theory/tracking.md, eq. (8).
-
-With the displacements, a coarse solution may become a usable plan: a plan that simulation confirms,
-at lower accuracy than requested.
+Between its collocation points, the path of a coarse solution may cut corners of keep-out zones. A
+vehicle that follows the path under feedback then enters the zones too (`flight.tracking`). If the
+simulated flight has entered a zone, the path is displaced out of it, and the flight is simulated
+again. This is repeated a few times if necessary, and needs no further solve. If a simulation
+confirms the displaced path, the coarse solution becomes a usable plan of lower accuracy than
+requested. See docs/theory/tracking.md, eq. (8).
 """
 
 from __future__ import annotations
@@ -155,11 +153,9 @@ def moves_in_hovers(flown: Flown, limits: Sequence[LimitValues], allowed: float)
 def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
     """Return how much the samples of a flight violate each limit of the airspace.
 
-    The limits of the airspace are keep-out zones and other limits on the position. `limits` has all
-    limited quantities at the n samples (see `limits_along`).
-
-    The result maps the name of each limit of the airspace to its violations, shape (n,), in the
-    unit of the limit. The violation of a zone is the depth inside the zone, and negative outside.
+    Limits of the airspace are keep-out zones and other limits on the position. The result maps the
+    name of a limit to its violation at each sample, in the unit of the limit. The violation is
+    negative if the limit is kept.
     """
     return {
         limit.name: np.fmax(limit.lower - limit.values, limit.values - limit.upper)

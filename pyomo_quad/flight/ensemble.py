@@ -1,13 +1,11 @@
 """Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
-The control law and the equations of the vehicle are the same as for a single flight. Only the
-integration differs: all flights together take Runge-Kutta steps of fixed length. A step is at most
-`LONGEST_STEP_S`, the time over which the noise of the turbulence is constant. It is also short
-compared with the fastest mode of the closed loop. A test compares the result with SciPy's adaptive
-integration.
-
-Every flight is assessed like a single flight: whether it keeps the limits of the model and the
-limits at the waypoints, and whether it arrives at the goal.
+Control law, equations of the vehicle and assessment of each flight are those of a single flight.
+The assessment checks three things: the limits of the model, the limits at the waypoints, and the
+arrival at the goal. Only the integration differs: all flights together take Runge-Kutta steps of
+fixed length. A step is at most `LONGEST_STEP_S`, the time over which the noise of the turbulence is
+constant. Stability for the fastest mode of the closed loop, and accuracy at high gains of the
+controller, may require shorter steps. A test compares the result with SciPy's adaptive integration.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -257,11 +255,10 @@ class EnsembleSimulation:
     def _fastest_rate(self) -> float:
         """Return the decay rate of the fastest mode of the closed loop at take-off [1/s].
 
-        The integration steps must be short enough to be stable at this rate. The rate is computed
-        from the eigenvalues of the closed loop. The gains of the controller alone do not determine
-        it: owing to the reaction moment of accelerating rotors on the body, the yaw loop is several
-        times faster than any gain.
+        The integration steps must be short enough to be stable at this rate.
         """
+        # The gains of the controller alone do not determine the rate. Owing to the reaction moment
+        # of accelerating rotors on the body, the yaw loop is several times faster than any gain.
         loop = closed_loop(self._dynamics, self._controller)
         command = np.array([self._controller.command(self._reference, 0.0)])
         # Where an error is exactly zero, the derivative of its norm is not defined.
@@ -374,9 +371,9 @@ class EnsembleSimulation:
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the times of all integration steps of a flight [s].
 
-    They include the times at which the noise of the turbulence changes, and the times at which the
-    mission reaches and leaves its waypoints. `fastest_rate` is the decay rate of the fastest mode
-    of the closed loop [1/s]. The steps are short enough to be stable for this mode.
+    They include the times at which the noise of the turbulence changes, and the arrivals and
+    departures at waypoints. The steps are short enough to be stable for a mode with the decay rate
+    `fastest_rate` [1/s].
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)

@@ -49,10 +49,8 @@ def departures(plan: "Plan") -> tuple[str, ...]:
 def departures_of(scenario: Scenario, flown: Mapping[str, FloatArray]) -> Iterator[str]:
     """Yield a message for each quantity of a flight that is outside its vehicle's validated range.
 
-    The validated range of airspeed, climb, descent and payload is the range that measured flights
-    cover. `scenario` gives this range, the payload and the wind. `flown` is the table of the
-    flight: column name -> values over time. If the table has no columns for velocity and wind, only
-    the payload is checked.
+    `flown` is the table of the flight: column name -> values over time. Without columns for
+    velocity and wind, only the payload is checked.
     """
     validated, carried = scenario.vehicle.validated, scenario.vehicle.payload
     if validated.payload is not None and carried > validated.payload:

@@ -162,9 +162,8 @@ class Flight(Summarised):
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
         """Return a copy of the flight with an estimate of the energy still needed at its end.
 
-        The energy still needed is the energy to get from the flight's final state to the required
-        final state. The estimate is of first order, from the costates of a plan. It is stored in
-        the attribute `owed_energy_J` of the returned flight.
+        The estimate is the attribute `owed_energy_J` of the copy: the energy needed to get from the
+        final state to the required final state. It is of first order, from the costates of a plan.
 
         Parameters
         ----------
@@ -282,9 +281,8 @@ def broken_limits(
 def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> bool:
     """Return whether a violation of a limit exceeds both of its tolerances.
 
-    `found` is the violation. `allowed` maps names of limits without their index, such as
-    "mission.hold_speed", to tolerances in the unit of the limit. The tolerance of a missing name is
-    zero. `breach` is the relative tolerance: it is multiplied by the larger of 1 and the limit.
+    `allowed` maps names such as "mission.hold_speed" to tolerances in the unit of the limit, zero
+    for a missing name. `breach` is relative to the larger of 1 and the limit.
     """
     return found.relative > breach and found.size > allowed.get(found.name.partition("[")[0], 0.0)
 
@@ -292,11 +290,10 @@ def is_broken(found: Violation, allowed: Mapping[str, float], breach: float) -> 
 def terminal_miss_of(
     dynamics: Dynamics, state: FloatArray, wanted: Mapping[str, float]
 ) -> dict[str, float]:
-    """Return final minus required value of each state for which a final value is required.
+    """Return the final value minus the required final value of states.
 
-    `state` is the final state of a flight, shape (n_states,), in the order of
-    `dynamics.state_names`. `wanted` maps names of states to their required final values. The result
-    maps the same names to the differences.
+    `state` has the final values of all states, shape (n_states,). `wanted` maps names of states to
+    required values. The result maps the same names to the differences.
     """
     final = dict(zip(dynamics.state_names, state, strict=True))
     return {name: float(final[name] - value) for name, value in wanted.items()}

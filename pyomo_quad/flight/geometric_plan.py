@@ -1,11 +1,11 @@
 """First plan of a mission: a flight along its shortest route, without an optimisation.
 
-The vehicle flies along the lines of the route, smoothed at corners. If the mission prescribes the
-duration, the speed follows from the duration. If the duration is free, the speed is at most the
-speed of least cost in steady flight. Attitude and rotor speeds follow from the acceleration of this
-path (differential flatness). A simulation under feedback then turns the path into a flight that
-satisfies the equations of motion. The plan spends more energy than the optimum. It is available
-before the first solve ends. Derivation and sources: docs/theory/geometric_plan.md, eqs. (5) to (7).
+The vehicle flies along the lines of the route, smoothed at corners, at most at the speed of least
+cost. A prescribed duration determines the speed instead. Attitude and rotor speeds follow from the
+acceleration of this path (differential flatness). A simulation under feedback turns the path into a
+flight that satisfies the equations of motion. The plan spends more energy than the optimum, but is
+available before the first solve ends. Derivation and sources: docs/theory/geometric_plan.md, eqs.
+(5) to (7).
 """
 
 from __future__ import annotations
@@ -74,10 +74,9 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    Several paths along the route are tried, with different speeds and accelerations. Each path that
-    keeps the limits is simulated under feedback. A path is confirmed if its simulated flight
-    reaches the goal and keeps the limits. The tolerances are wide: the flight may end half a metre
-    from the goal. The search ends with the first confirmed path, or after the third simulation.
+    Paths that differ in speed or acceleration are simulated under feedback, until a simulation
+    confirms one of them. At most three paths are simulated. The tolerances are wide: a flight may
+    end half a metre from the goal.
 
     Parameters
     ----------
@@ -90,6 +89,7 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
         The plan that was simulated last, with the result of the simulation. The error estimate of
         the plan is the relative difference between its energy and the energy of steady flight along
         the route. The result is None in each of these cases:
+
         - There is no route, or no steady flight along it.
         - No path of an allowed duration keeps the limits.
         - The model is a user's own.
@@ -112,9 +112,8 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
 def smooth_flight(mission: MissionProblem, journey: Journey) -> dict[str, Any] | None:
     """Return a flight along a journey with smooth corners, as an initial guess of a solve.
 
-    The vehicle flies at the speed of least cost, and accelerates by at most 2.5 m/s^2. Attitude and
-    rotor speeds follow from the acceleration; see docs/theory/geometric_plan.md, eqs. (5) and (6).
-    The flight is not simulated, and may break limits.
+    The vehicle flies at the speed of least cost, and accelerates by at most 2.5 m/s^2. The flight
+    may break limits. See docs/theory/geometric_plan.md, eqs. (5) and (6).
 
     Parameters
     ----------
@@ -149,16 +148,7 @@ def _first_usable(
 ) -> Plan | None:
     """Return the first plan along a journey that a simulation confirms as usable.
 
-    A journey is a route for each leg of the mission. A plan is usable if its simulated flight
-    reaches the goal and keeps the limits, to wide tolerances: the flight may end half a metre from
-    the goal.
-
-    Pairs of a speed and an acceleration are tried in turn. Each pair gives a path. If the path
-    keeps all limits, it is simulated. A second path of the same pair stays closer to the route at
-    corners. It is tried in two cases:
-    - The first path breaks limits, but only those of the airspace (zones, fence, floor, ceiling).
-    - The simulation of the first path does not confirm it.
-
+    The simulated flight of a usable plan reaches the goal and keeps the limits, to wide tolerances.
     At most three paths are simulated.
 
     Parameters
@@ -181,6 +171,8 @@ def _first_usable(
     found: Plan | None = None
     flown, is_free = 0, mission.told.mission.is_free
     for acceleration, share in _PACES if is_free else _PACES_IN_TIME:
+        # The second path of a pace stays closer to the route at corners. It is tried if the first
+        # path breaks limits of the airspace only, or if its simulation does not confirm it.
         for turning in (acceleration, _NARROW):
             pace = Pace(speed=share * fastest, acceleration=acceleration, turning=turning)
             path = _path(mission.told, journey, pace, fastest)
@@ -203,27 +195,25 @@ def _first_usable(
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
     """Return a smooth path along a journey, whose duration the mission allows.
 
-    A journey is a route for each leg of the mission `told`. `pace` has the greatest speed and the
-    greatest accelerations of the path. They determine its duration. If the mission does not allow
-    this duration, the path gets the nearest allowed duration. The greatest speed is then `fastest`
-    [m/s], and `pace` gives only the accelerations. The result is None if the path cannot be flown
-    in this duration.
+    `pace` has the greatest speed and the greatest accelerations. The result is None if the path
+    cannot be flown in an allowed duration.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
     path = smoothed(stops, pace) if mission.is_free else None
     if path is not None and least <= path.duration <= greatest:
         return path
+    # The nearest allowed duration determines the speed, up to `fastest` [m/s]. Only the
+    # accelerations of `pace` hold.
     lasting = greatest if path is None else min(max(path.duration, least), greatest)
     return smoothed(stops, replace(pace, speed=fastest), lasting)
 
 
 def _stops(told: Scenario, journey: Journey) -> list[Stop]:
-    """Return start, corners and goal of a journey, as a list of stops in the order of the flight.
+    """Return start, corners and goal of a journey, in the order of the flight.
 
-    `journey` is a route for each leg of the mission `told`. Corners are the waypoints and the
-    places at which a route changes its direction. The stop at a waypoint also has the speed limit
-    and the duration of the hover at this waypoint.
+    Corners are the waypoints and the places at which a route changes its direction. The stop at a
+    waypoint has its speed limit and its duration of hover.
     """
     stops = [Stop(place=journey[0].places[0])]
     for k, route in enumerate(journey):
@@ -241,10 +231,8 @@ def _stops(told: Scenario, journey: Journey) -> list[Stop]:
 def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
     """Return the greatest speed of a path along a journey [m/s].
 
-    `journey` is a route for each leg of the mission `told`. The greatest speed is somewhat below
-    the mission's speed limit. Without a speed limit it is 30 m/s. If the duration is free, the
-    greatest speed is also at most the speed of least cost in the direction of the longest leg.
-    `steady`, the calculator of steady flight, gives the speed of least cost.
+    It is somewhat below the mission's speed limit, or 30 m/s if there is no speed limit. If the
+    duration is free, it is at most the speed of least cost along the longest leg.
     """
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
@@ -257,14 +245,10 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 
 
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
-    """Return a plan that follows a path exactly, and a solution with the times of the path.
+    """Return a plan that follows a path exactly, and an unsolved solution with the path's times.
 
-    `journey` is a route for each leg of the mission, and `path` is a smooth path along it. The plan
-    has not been simulated yet.
-
-    The solution is the initial point of a solve, before any iteration. Its duration and the passing
-    times of its waypoints are those of the path. The solution also holds the equations of the
-    vehicle, which the simulation of the plan needs.
+    The plan is not simulated yet. The solution is only the initial point of a solve. It holds the
+    equations of the vehicle for the plan's simulation, and is an argument of `verified`.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -289,15 +273,14 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
 def _broken(plan: Plan) -> tuple[Violation, ...]:
     """Return the limits that a planned path violates too much to be worth a simulation.
 
-    `plan` is a plan whose vehicle is exactly on its path. Two tolerances apply:
-    - Limits of the airspace, such as zones: 0.1 m. The simulation can remove such a violation.
-    - Other limits, such as those on thrust and tilt: the small error of interpolation. Feedback in
-      the simulation needs additional thrust and tilt, so the path itself must keep these limits.
-
-    The simulated flight is later checked with wider tolerances.
+    A limit of the airspace, such as a zone, may be violated by 0.1 m. Another limit may be violated
+    by the error of interpolation: 1e-3 of the larger of 1 and the limit.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
+    # The simulation can remove a violation of the airspace. Its feedback needs additional thrust
+    # and tilt, so the path itself must keep other limits. The simulated flight is checked later,
+    # with wider tolerances.
     return tuple(
         breach
         for breach in found
@@ -308,10 +291,9 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
-    A journey is a route for each leg of the mission. The vehicle flies along the journey without
-    acceleration, and hovers where the mission asks for it. If the duration is free, the speed is
-    `fastest` [m/s]. Otherwise it is the mean speed that the duration requires. Implements
-    docs/theory/geometric_plan.md, eq. (7).
+    If the duration is free, the speed is `fastest` [m/s]. Otherwise, it is the mean speed. The
+    result includes the energy of hovering at waypoints. Implements docs/theory/geometric_plan.md,
+    eq. (7).
 
     Raises
     ------
@@ -339,11 +321,8 @@ def _flat(
 ) -> Trajectories:
     """Return states and controls of a vehicle on a path, by differential flatness.
 
-    The thrust vector is mass * (a - a_0). Here a is the acceleration of the path, and a_0 is the
-    acceleration that weight and air alone would cause. The direction of the thrust and the yaw
-    angle determine the attitude. The magnitude of the thrust determines the rotor speed, which is
-    the same for all rotors. The moments that turn the vehicle are neglected: feedback adds them in
-    the simulation. Implements docs/theory/geometric_plan.md, eqs. (5) and (6).
+    All rotors have the same speed. The moments that turn the vehicle are neglected. Implements
+    docs/theory/geometric_plan.md, eqs. (5) and (6).
 
     Parameters
     ----------
@@ -372,6 +351,8 @@ def _flat(
     yaw = _headings(told, path, times)
     upright = states.copy()
     upright[:, [*rotors, column[ROLL], column[PITCH]]] = 0.0
+    # Acceleration that weight and air alone would cause. The thrust adds the rest; feedback adds
+    # moments in the simulation.
     falling = _acceleration(dynamics, times, upright)
     needed = acceleration - falling
     size = np.linalg.norm(needed, axis=1)
@@ -411,11 +392,10 @@ def _flat(
 
 
 def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> FloatArray:
-    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3), for zero controls.
+    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3).
 
-    The acceleration is along world x, y and z. `dynamics` has the equations of the vehicle, whose
-    controls are set to zero. `times` are the n times [s], and `states` has the states at these
-    times, shape (n, n_states).
+    The columns are along world x, y and z. `times` are in s, and `states` has shape (n, n_states).
+    All controls are taken as zero.
     """
     none = np.zeros(len(dynamics.control_names))
     rows = zip(times.tolist(), states, strict=True)
@@ -426,8 +406,7 @@ def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> 
 def _mesh(path: SmoothPath) -> Mesh:
     """Return a mesh with an element boundary at each time at which a path passes a corner.
 
-    At a corner with a hover, both the start and the end of the hover are boundaries. Between two
-    successive boundaries, the time is divided into equal elements of at most 0.4 s.
+    Both the start and the end of a hover are boundaries. Elements are at most 0.4 s long.
     """
     passed = [0.0, path.duration, *(t for pair in path.passings for t in pair)]
     hovered = [t for pair in path.passings for t in pair if pair[1] > pair[0]]
@@ -445,9 +424,8 @@ def _mesh(path: SmoothPath) -> Mesh:
 def _headings(told: Scenario, path: SmoothPath, times: FloatArray) -> FloatArray:
     """Return the yaw angle at n times of a path [rad], shape (n,).
 
-    The yaw angle changes smoothly from the heading at the start of the mission `told` to the
-    heading at its goal. The yaw rate is zero at both ends. `path` gives the duration of the flight.
-    `times` are the n times [s].
+    It changes smoothly from the heading at the start of the mission to the heading at its goal. The
+    yaw rate is zero at both ends.
     """
     first, last = told.mission.start.yaw, told.mission.goal.yaw
     return first + (last - first) * quintic_progress(times / path.duration)

@@ -37,9 +37,7 @@ def integrate(
 ) -> FloatArray:
     """Integrate differential equations over a time span; return the states at given times.
 
-    The integration is restarted at each time at which the rates jump (an edge). A restart takes
-    about twenty evaluations. An integrator that steps over a jump takes hundreds of evaluations,
-    because it repeats its steps until they are as short as its tolerance requires.
+    The integration is restarted at each time at which the rates jump (an edge).
 
     Parameters
     ----------
@@ -73,6 +71,8 @@ def integrate(
     inner = [edge for edge in edges if span[0] + _SHORTEST < edge < span[1] - _SHORTEST]
     state = np.asarray(start, dtype=float)
     found: list[FloatArray] = []
+    # A restart takes about twenty evaluations. An integrator that steps over a jump takes hundreds,
+    # because it repeats its steps until they are as short as its tolerance requires.
     for first, last in pairwise((span[0], *inner, span[1])):
         is_last = last == span[1]
         here = wanted[(wanted >= first) & ((wanted <= last) if is_last else (wanted < last))]
@@ -96,9 +96,8 @@ def integrate(
 def _within(rates: Rates, first: float, last: float) -> Rates:
     """Return a right-hand side that clips its time to the inside of an interval.
 
-    `rates` is the original right-hand side: time [s] and states -> time derivatives. It may jump at
-    the ends of the interval, `first` and `last` [s]. The returned function replaces a time at an
-    end, or outside, by a time slightly inside the interval. The integrator therefore sees no jump.
+    `rates` may jump at `first` and `last` [s], the ends of the interval. The result has no jump
+    there, so that an integrator need not shorten its steps.
     """
     margin = _INSIDE * (last - first)
 
@@ -113,8 +112,8 @@ def discrete(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the transition and input matrices of a linear system, for steps of constant input.
 
-    The matrices Phi and Gamma give the state at the end of a step: x_end = Phi x_start + Gamma u.
-    Both are blocks of the exponential of one matrix (Van Loan, 1978).
+    The matrices Phi and Gamma give the state at the end of a step (Van Loan, 1978): x_end = Phi
+    x_start + Gamma u.
 
     Parameters
     ----------

@@ -47,9 +47,8 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration in which a mission is possible.
 
-    As a rule, the mesh is refined a few times only. If the least duration is close to the
-    prescribed duration of the mission, the mesh is refined to the mission's own tolerance. The
-    result then shows whether the prescribed duration is long enough.
+    The mesh is refined to the mission's tolerance only if the result is close to the prescribed
+    duration.
 
     Parameters
     ----------
@@ -91,6 +90,8 @@ def shortest_flight(
         if not solution.status.is_solved:
             break
         shortest = start = solution
+        # Only a result close to the prescribed duration must be accurate, to show whether that
+        # duration is long enough.
         if abs(solution.objective - duration) > _CLOSE * duration:
             break
     return shortest
@@ -204,9 +205,7 @@ class Approach:
     def closest(self) -> Plan:
         """Verified plan of the shortest duration, or the first plan if none is verified.
 
-        A plan is verified if a simulation confirms it to the accuracy that the mission requests.
-        The attribute `message` of the returned plan ends with two durations: that of the plan, and
-        the least duration of the mission.
+        Its attribute `message` ends with its duration and the least duration of the mission.
         """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (

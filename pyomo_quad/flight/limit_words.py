@@ -67,9 +67,8 @@ def limit_words(name: str) -> str:
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
     """Convert the value of a limit from the unit of the model to the unit printed in reports.
 
-    The model limits the squares of some speeds and distances, in m**2/s**2 or m**2. Reports print
-    the speeds and distances themselves, in m/s and m. `name`, `size` and `unit` are the name, value
-    and unit of the limit in the model.
+    A squared speed or distance becomes the speed or distance itself. `size` and `unit` are value
+    and unit in the model.
 
     Returns
     -------
@@ -84,9 +83,8 @@ def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
 def excess(breach: Violation, unit: str) -> tuple[float, str]:
     """Return the violation of a limit, in the unit printed in reports, and this unit.
 
-    `breach` is the violation, `unit` the unit of the limit in the model. If the model limits the
-    square of a speed or distance, the result refers to the speed or distance itself. For example,
-    the limit 9 m**2/s**2 violated by 7 m**2/s**2 gives an excess of 4 - 3 = 1 m/s.
+    `unit` is the unit in the model. For example, a squared speed of 16 m**2/s**2 violates the limit
+    9 m**2/s**2. The result is sqrt(16) - sqrt(9) = 1 m/s.
     """
     # For a square, this is the excess of the length over its limit, not the root of the difference.
     reached, plain = limit_amount(breach.name, abs(breach.bound) + breach.size, unit)

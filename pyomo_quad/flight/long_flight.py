@@ -48,9 +48,7 @@ _SAMPLES = 400
 def is_long(scenario: Scenario) -> bool:
     """Return whether a straight flight to the goal is long compared with a change of attitude.
 
-    A long flight needs the meshes of this module, because the equal elements of the scenario's mesh
-    would not resolve changes of attitude. The result is False for missions with waypoints or
-    keep-out zones, whose flights are not straight.
+    Flights of missions with waypoints or keep-out zones are not straight; the result is then False.
     """
     airspace = scenario.airspace
     is_straight = not (scenario.mission.waypoints or airspace.keep_out)
@@ -154,12 +152,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb rate of an initial guess, changed so that it clears the terrain.
+    """Return height and climb rate of an initial guess that is raised above the terrain.
 
-    `guess` maps state names to samples at the times `when` [s]. Heights below the floor (the least
-    height above the ground) are raised to it, and the climb rate is changed to match. The result
-    maps the names of the states for height [m] and climb rate [m/s] to their changed samples. The
-    result is empty if the airspace has no terrain or no floor.
+    `guess` maps state names to samples at the times `when` [s]. If the airspace has no terrain or
+    no floor (least height above the ground), the result is empty.
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:
@@ -177,11 +173,10 @@ def _columns(
 
 
 def _speed_for(distance: float, duration: float) -> float:
-    """Return the cruise speed of a flight over a given distance in a given duration [m/s].
+    """Return the cruise speed [m/s] of a flight over a distance [m] in a duration [s].
 
-    `distance` is in m, `duration` in s. The flight starts and ends at rest, with fixed values of
-    acceleration and jerk. If the duration is too short for any cruise speed, the result is the
-    speed of the quickest flight.
+    The flight starts and ends at rest. If the duration is too short, the result is the speed of the
+    quickest flight.
     """
     # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
     # jerk phases.
@@ -193,9 +188,8 @@ def _speed_for(distance: float, duration: float) -> float:
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return the approximate ground speed of least cost per metre along a direction [m/s].
 
-    `steady` calculates steady flight of the vehicle in the wind of the mission. The cost is the
-    energy plus `price_of_time` [W] times the duration. `course` is the unit vector of the
-    direction, shape (3,).
+    The cost is the energy plus `price_of_time` [W] times the duration. `course` is the unit vector
+    of the direction.
     """
     near: Trim | None = None
 

@@ -1,13 +1,11 @@
 """Search for the margins with which flights of a plan in turbulence keep an allowed risk.
 
 The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount by
-which a limit is tightened for the plan. The margins are found by iteration. First, the covariance
-of flights about a plan gives the margins that the allowed risk requires. Then a new plan is solved
-with these margins, on the same mesh. Both steps are repeated until the margins hardly change.
+which a limit is tightened for the plan. The margins are found by iteration: the covariance of
+flights about a plan gives margins, and a new plan is solved with them on the same mesh.
 
-The mesh of the last plan is then refined, and the plan is verified by simulation. Simulated flights
-in turbulence test it. If they break a limit too often, the margin on this limit is increased, and
-the plan is solved, refined and tested again. See docs/theory/risk.md, eqs. (7) to (9).
+The last plan is refined, verified and tested by simulated flights. Limits that they break too often
+get larger margins, and the test is repeated. See docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -183,9 +181,9 @@ class _Tried:
         """Upper bound on the probability that a flight along the plan breaks any limit.
 
         It is the sum of the probabilities for the single limits (Boole's inequality), at most 1.
-        The sum leaves out the limits on rotor speed and thrust, because the controller clips its
-        commands to them.
+        The limits on rotor speed and thrust are left out.
         """
+        # The controller clips its commands to the limits on rotor speed and thrust.
         by_limits = sum(
             limit.present_probability
             for limit in self.near
@@ -195,13 +193,13 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that a flight breaks a limit without margin, at the goal or at a waypoint.
+        """Probability that, at the goal or at a waypoint, a flight breaks a limit without margin.
 
-        Some limits cannot be tightened. An example is the limit on the distance from the goal at
-        the end: every plan already reaches the goal exactly. The result is the sum of the
-        probabilities of breaking such limits. A plan that leaves the rotors a larger reserve of
-        thrust reduces it.
+        Such limits are those that no margin can tighten, such as the distance from the goal. The
+        value is the sum of their probabilities.
         """
+        # Every plan already reaches the goal exactly, so that no margin tightens these limits. A
+        # plan that leaves the rotors a larger reserve of thrust breaks them less often.
         return sum(miss.probability for miss in self.missed if not miss.field)
 
     @property
@@ -246,9 +244,8 @@ class _Tested:
 class MarginSearch:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
-    Margins are the amounts by which limits are tightened for the plan. The risk is the probability
-    that a flight in turbulence breaks a limit. The search finds margins with which the risk is at
-    most the allowed risk.
+    Margins are the amounts by which limits are tightened for the plan. With the margins found, the
+    probability that a flight in turbulence breaks a limit is at most the allowed risk.
 
     Parameters
     ----------
@@ -288,15 +285,13 @@ class MarginSearch:
         self._seed = _SEED - 1
 
     def is_beyond_the_controller(self) -> bool:
-        """Return whether this controller is too weak for the allowed risk, whatever the margins.
+        """Return whether the controller is too weak for the allowed risk, whatever the margins.
 
-        Vehicles that hover at the goal in turbulence are simulated. Some of them end too far from
-        the goal or too fast. If their fraction is at least the allowed risk, the result is True.
-        Flights along a plan are expected to miss the goal at least as often as these vehicles.
-
-        The hovers are simulated only if they are needed. If the predicted probability of missing
-        the goal is small for the plan without margins, the result is False at once.
+        The criterion is a simulation of vehicles that hover at the goal in gusts. The controller is
+        too weak if the fraction that the gusts carry away is at least the allowed risk.
         """
+        # Hovers are simulated only if flights along the plan without margins are predicted to miss
+        # the goal. Such flights are expected to miss it at least as often as hovering vehicles.
         if not self._is_followed(self._begun):
             self._hovering = self._missed_by_hover
         return self._hovering >= self._risk
@@ -341,18 +336,13 @@ class MarginSearch:
     def _examined(self, tried: _Tried) -> _Tested:
         """Test a plan by simulated flights, refine it if worthwhile, and return the last test.
 
-        `tried` is the plan with its margins. Test flights are simulations under feedback in random
-        turbulence. They count how often a limit is broken. The steps are:
-        - The plan is tested.
-        - If its mesh is coarse and few test flights miss the goal, the plan is refined and
-          verified. The coarse mesh may be the reason for the other broken limits.
-        - The refined plan is tested again.
-
-        A plan that is already refined is tested only once. So is a plan whose flights miss the goal
-        too often: a refinement takes longer than the test of another plan.
+        A plan on a coarse mesh is refined, verified and tested again, unless its flights miss the
+        goal too often.
         """
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
+        # A refinement takes longer than the test of another plan. If few flights miss the goal, the
+        # coarse mesh may be the reason for the other broken limits.
         if tried.is_refined or missed > self._risk * _FLIGHTS:
             return tested
         return self._tested(self._verified(tried), self._next_seed())
@@ -367,14 +357,8 @@ class MarginSearch:
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
         """Reduce margins that cost much energy, as long as test flights confirm the new plan.
 
-        `best` is a plan that passed its test flights. `failed` has the plans that were tried before
-        and failed their tests. Each new margin is the mean of two margins: that of `best` and that
-        of the last failed plan (zero if no plan failed).
-
-        A plan with smaller margins must pass a stricter test: at most half as many flights as usual
-        may break a limit. If several plans are tried, one of them might pass the usual test by
-        chance. The result is the plan of least energy that passed, with its test results. It is
-        `best` if no other plan passes.
+        `best` passed its test, the plans in `failed` did not. The result is the plan of least
+        energy that passed.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -383,11 +367,14 @@ class MarginSearch:
             if price <= _FAIR_PRICE or not is_wide or self._is_stopped():
                 break
             high = best.tried.margins
+            # Halfway back to the margins of the last failed plan, or to no margins if none failed.
             middle = {name: (low.get(name, 0.0) + more) / 2 for name, more in high.items()}
             other = self._planned(best.tried, middle)
             tested = None if other is None else self._examined(other)
             if tested is None:
                 break
+            # Of several plans, one might pass the usual test by chance: half as many failures are
+            # allowed.
             is_better = (
                 self._has_passed(tested)
                 and tested.failed <= self._risk * _FLIGHTS / 2
@@ -451,9 +438,8 @@ class MarginSearch:
     def _verified(self, tried: _Tried) -> _Tried:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
-        `tried` is the plan on a coarse mesh. The result is the refined plan, for which the
-        statistics of flights are predicted again. A plan that has been refined before is returned
-        unchanged.
+        The statistics of flights are predicted again for the refined plan. A plan that has been
+        refined before is returned unchanged.
         """
         if tried.is_refined:
             return tried
@@ -510,16 +496,8 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        A plan is accepted if both conditions hold:
-        - The flight along the plan without gusts ends at most 0.1 m from the goal.
-        - The predicted probability that a flight in turbulence misses the goal is at most 0.3 r or
-          1.2 h, whichever is greater. Here r is the allowed risk, and h is the fraction of hovering
-          vehicles that gusts carry off the goal.
-
-        If `tried` is accepted, it is returned unchanged. Otherwise a bisection searches for the
-        smallest reserve of thrust and tilt with which a plan is accepted. The result is the
-        accepted plan of least cost. If no plan is accepted, it is the plan that is least likely to
-        miss the goal.
+        If `tried` does not, plans with larger reserves of thrust and tilt are solved. If
+        `_is_followed` accepts no plan, the result is the plan least likely to miss the goal.
         """
         if self._is_followed(tried):
             return tried
@@ -552,20 +530,18 @@ class MarginSearch:
 
     @cached_property
     def _missed_by_hover(self) -> float:
-        """Fraction of hovering vehicles that gusts carry away from the goal.
+        """Fraction of hovering vehicles that gusts carry away from the goal, in a simulation.
 
-        The simulated vehicles hover at the goal in turbulence for `_HOVER_S` seconds. The mission
-        limits the distance from the goal and the speed at the end of a flight. The result is the
-        fraction of the vehicles that break one of these limits after the hover.
-
-        A vehicle that has just arrived is expected to break the limits at least as often as a
-        vehicle that has hovered. The result is therefore a lower bound on the fraction of flights
-        that miss the goal, for every plan.
+        It is expected to be a lower bound on the fraction of flights that miss the goal, for every
+        plan.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
             update={"position": mission.goal.position, "yaw": mission.goal.yaw}
         )
+        # The mission limits the distance from the goal and the speed at the end of a flight. A
+        # vehicle that has just arrived is expected to break these limits at least as often as a
+        # vehicle that has hovered.
         told = {"start": there, "waypoints": (), "duration": _HOVER_S}
         hover = self._in_turbulence.model_copy(update={"mission": mission.model_copy(update=told)})
         expected = as_expected(hover)
@@ -583,17 +559,18 @@ class MarginSearch:
     def _reserve(self, share: float) -> dict[str, float]:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
-        The controller needs the reserve to follow the plan in gusts. Each margin is ``share`` times
-        the largest margin that leaves room for the mission (`greatest_margin`). The result maps
-        each scenario field to its margin. If the duration is free, the result also has a margin
-        that makes the least duration longer. A slower flight needs less thrust and tilt.
+        Each margin is ``share`` times the largest margin that leaves room for the mission. The
+        result maps scenario fields to margins.
         """
         mission = self._scenario.mission
         part = min(share, _LARGEST_OF_FREE) if mission.is_free else share
+        # The controller needs the reserve to follow the plan in gusts.
         margins = {name: part * greatest_margin(self._scenario, name) for name in AUTHORITY}
+        # A plan must stay within the largest tilt that the controller may command.
         for name, more in self._steeper_than_the_controller().items():
             margins[name] = max(margins[name], more)
         if mission.is_free:
+            # A slower flight needs less thrust and tilt.
             least, greatest = mission.duration_limits
             longer = (1 + _LONGER * share) * self._paper.duration_s
             margins[DURATION] = max(min(longer, greatest) - least, 0.0)
@@ -602,9 +579,8 @@ class MarginSearch:
     def _steeper_than_the_controller(self) -> dict[str, float]:
         """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
 
-        The controller's limit is the largest tilt that it may command. With these amounts as
-        margins, a plan stays within this limit. The result maps the scenario fields of the roll and
-        pitch limits to the amounts. It is empty if the controller's tilt has no limit.
+        The result maps scenario fields to the amounts. It is empty if the controller's tilt has no
+        limit.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -617,24 +593,19 @@ class MarginSearch:
     def _settled(self, tried: _Tried) -> _Tried:
         """Solve with new margins repeatedly, until the margins agree with the allowed risk.
 
-        The covariance of flights about a plan determines the margins that the allowed risk
-        requires. A plan with these margins has another covariance, and so requires other margins.
-        The solves are therefore a fixed-point iteration. It starts from the plan `tried` and ends
-        in one of these cases:
-        - The margins of the present plan are close to those that it requires.
-        - `_PLANS` plans were solved, or the user stops the search.
-        - A solve fails.
-        - Flights along the new plan are predicted to miss the goal too often, but flights along the
-          present plan are not. The new plan is then rejected.
-
-        The result is the last plan that was not rejected. Test flights show later whether its
-        margins are large enough.
+        The fixed-point iteration starts from the plan `tried`. It ends early if a solve fails, or
+        if flights along a new plan would miss the goal too often. The result is then the plan
+        before.
         """
         for _ in range(_PLANS):
+            # A plan with other margins has another covariance, and so requires other margins.
             wanted = self._margins(tried)
             if self._is_stopped() or self._agree(tried.margins, wanted):
                 break
             other = self._planned(tried, wanted)
+            # The new plan is rejected if its flights are predicted to miss the goal too often, and
+            # those of the present plan are not. Test flights show later whether margins are large
+            # enough.
             if other is None or (self._is_followed(tried) and not self._is_followed(other)):
                 break
             tried = other
@@ -643,13 +614,8 @@ class MarginSearch:
     def _margins(self, tried: _Tried) -> dict[str, float]:
         """Return the margins that the allowed risk requires, from predicted statistics of flights.
 
-        `tried` is a plan with the statistics of flights that follow it. The result maps each
-        scenario field to its margin.
-
-        A limit that is hardly ever broken needs no margin. Each of the other n limits may be broken
-        with the probability (r - p_goal - p_rare) / n, which determines its margin. Here r is the
-        allowed risk, p_goal the probability of missing the goal, and p_rare that of breaking a
-        limit without margin. The numerator is never taken less than r / 10.
+        `tried` is a plan with these statistics. The result maps each scenario field to its margin;
+        see docs/theory/risk.md, eq. (9).
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -664,6 +630,9 @@ class MarginSearch:
         taken += sum(
             p for a, p in alone.items() if p <= least and a.field not in KEPT_BY_CONTROLLER
         )
+        # Each of the n other limits may be broken with the probability (r - p_goal - p_rare) / n.
+        # Here r is the allowed risk, p_goal the probability of missing the goal, and p_rare that of
+        # breaking a limit without margin.
         share = max(self._risk - taken, 0.1 * self._risk) / max(len(pressed) + len(missed), 1)
         margins = dict(self._least)
         for limit in pressed:
@@ -682,8 +651,8 @@ class MarginSearch:
     def _agree(self, kept: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
         """Return whether the margins of a plan are close to the margins that the risk requires.
 
-        `kept` has the margins of the plan. `wanted` has the margins that the covariance of its
-        flights requires. Both map a scenario field to the amount by which its limit is tightened.
+        `kept` has the margins of the plan, `wanted` the required ones. Both map a scenario field to
+        its margin.
         """
         for name in {*kept, *wanted}:
             one, other = kept.get(name, 0.0), wanted.get(name, 0.0)
@@ -698,11 +667,8 @@ class MarginSearch:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        `tried` is the plan with its margins, and `seed` the seed of the random winds. The number of
-        flights that may break a limit is the allowed risk times the number of all test flights. A
-        part of the flights is simulated first. If more than the allowed number break a limit in
-        this part, the plan has failed and the test ends. Otherwise the other flights are simulated,
-        too. With `is_whole`, all flights are simulated at once.
+        `seed` is for the random winds and parameters. If `is_whole` is False, only a few flights
+        are simulated at first. If too many of these fail for the plan to pass, the test ends.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -745,14 +711,8 @@ class MarginSearch:
     def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        `tested` has the results of the test flights and the present margins. The result maps each
-        scenario field to its new margin.
-
-        Some limits have no margin, such as the limit on the distance from the goal at the end.
-        Other limits already have their largest margin. If flights break one of these limits too
-        often, the plan must leave a larger reserve of thrust, rotor speed and tilt. The reserve
-        makes the plan easier to follow in gusts. Its increase is proportional to the fraction of
-        flights that break the worst of these limits, within fixed bounds.
+        If a margin cannot grow, the reserve of thrust and tilt grows. The result maps each scenario
+        field to its new margin.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -775,7 +735,9 @@ class MarginSearch:
                 margins[name] = max(grown, held + self._step_at_waypoints(name))
             else:
                 margins[name] = min(grown, greatest_margin(self._scenario, name))
-        # A limit whose margin cannot grow is broken less often by a plan that is easier to follow.
+        # Some limits have no margin, such as the limit on the distance from the goal at the end.
+        # Such a limit, and one whose margin cannot grow, is broken less often by a plan that is
+        # easier to follow in gusts.
         exhausted = [n for n in fields if margins[n] <= tried.margins.get(n, 0.0)]
         missed = max([missed, *(fields[name] for name in exhausted)])
         if missed:
@@ -791,11 +753,10 @@ class MarginSearch:
     def _step_at_waypoints(self, name: str) -> float:
         """Return the least increase of the margin on a waypoint's radius or speed [m or m/s].
 
-        `name` is the scenario field of the margin: the radius or the speed. The result is the
-        fraction `_SHARE_OF_PLACE` of the smallest radius or speed limit of the waypoints. It is
-        independent of the predicted covariance of flights, which is too small for vehicles whose
-        thrust is at its limit.
+        `name` is the scenario field of the margin. The result is a fraction of the smallest limit
+        of the waypoints.
         """
+        # The predicted covariance is too small for vehicles whose thrust is at its limit.
         waypoints, key = self._scenario.mission.waypoints, name.partition(".")[2]
         return _SHARE_OF_PLACE * min(size for w in waypoints if (size := getattr(w, key)))
 
@@ -857,10 +818,8 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
     """Return the planned states and controls at the n times for which a covariance was computed.
 
-    `spread` has the covariance of the states of flights about the plan, at the times `spread.t`.
-    The states have the shape (n, n_states), the controls (n, n_controls). The states are in the
-    order of the equations of `spread`. States that the plan does not have, such as those of the
-    turbulence, are zero.
+    Their shapes are (n, n_states) and (n, n_controls). States that the plan lacks, such as those of
+    the turbulence, are zero.
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

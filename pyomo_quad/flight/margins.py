@@ -69,8 +69,8 @@ PAPER_PLAN = (
 class RiskTaken:
     """Record of the risk for which a plan was made: margins, prediction and test flights.
 
-    The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount
-    by which a limit was tightened for the plan. Test flights are simulations in turbulence.
+    The risk is the probability that a flight in turbulence breaks any limit. Test flights are
+    simulations in turbulence.
 
     Attributes
     ----------
@@ -128,8 +128,7 @@ class RiskTaken:
     def words(self, energy: float) -> str:
         """Return a sentence on the risk, the test flights and the energy that the margins cost.
 
-        The risk is the probability that a flight breaks a limit. Margins are the amounts by which
-        limits were tightened for the plan. `energy` is the energy of the plan with margins [J].
+        `energy` is the energy of the plan with margins [J].
         """
         joules, percent = self.price(energy)
         price = f"the margins cost {joules:.3g} J ({percent:.2g} %)"
@@ -217,10 +216,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
-    The returned waypoint has a smaller radius and a lower speed limit than `waypoint`. Its hover
-    begins earlier, and ends at the same time as that of `waypoint`. `margins` maps the full name of
-    a scenario field to the amount by which its limit is tightened. Three of these names are used:
-    `RADIUS` [m], `SPEED` [m/s] and `HOLD` (duration of the hover) [s].
+    Its hover begins earlier and ends at the same time. Of `margins`, the keys `RADIUS` [m], `SPEED`
+    [m/s] and `HOLD` [s] are used.
     """
     changed: dict[str, float] = {}
     if waypoint.radius:
@@ -240,8 +237,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights that follow a plan must pass the waypoints.
 
-    As a margin, a plan may begin its hovers earlier than the mission requires, by the time `lead`.
-    A flight that follows the plan is required to hover only from the mission's own time on.
+    With a margin on a hover, the plan arrives earlier than the mission requires. Flights along the
+    plan need not: they must hover only from the time on that the mission requires.
 
     Parameters
     ----------
@@ -250,7 +247,7 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
     planned : sequence of float
         Time at which the plan reaches each waypoint [s].
     lead : float
-        Time by which the plan begins hovers earlier than required [s].
+        Margin on hovers: the plan begins each hover this much earlier than required [s].
 
     Returns
     -------
@@ -266,11 +263,11 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
-    `name` is the full name of the field, such as "airspace.floor". A margin is the amount by which
-    the limit in this field is tightened for a plan, in the unit of the field. With a larger margin,
-    start, goal or a waypoint would lie outside the tightened limit, or the vehicle could hardly
-    hover. The mission may become infeasible at smaller margins already, for other reasons.
+    `name` is the full name of the field, such as "airspace.floor". The mission may become
+    infeasible at smaller margins already.
     """
+    # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
+    # vehicle could hardly hover.
     told, limits, mission = scenario.airspace, scenario.limits, scenario.mission
     if name == "airspace.floor" and told.floor is not None:
         heights = told.height_above_ground(mission.positions)

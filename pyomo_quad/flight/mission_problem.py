@@ -126,18 +126,15 @@ class MissionProblem:
 
     @property
     def allowance(self) -> Allowance:
-        """Tolerances of the mesh refinement on errors that occur between collocation points.
+        """Tolerances of the mesh refinement on errors between the collocation points.
 
-        Such errors are violations of limits and errors of the states. A simulation of the planned
-        controls reveals them. At the highest accuracy, `proof`, and for a user's own model, the
-        tolerances are tight.
-
-        In all other cases the tolerances are wide, so that a coarse mesh suffices. Two later steps
-        remove the errors. The module `flight.tracking` corrects the controls by feedback before the
-        simulation. The module `flight.stricter_limits` tightens the limits that the simulated
-        flight breaks.
+        Such errors are violations of limits and errors of the states. The tolerances are tight if
+        the requested accuracy is `proof`, or if the model is a user's own.
         """
         figures = FIGURES[self.told.solver.accuracy]
+        # With wide tolerances, a coarse mesh suffices. `flight.tracking` then corrects the controls
+        # by feedback before the simulation, and `flight.stricter_limits` tightens the limits that
+        # the simulated flight breaks.
         if self.told.solver.accuracy is not Accuracy.PROOF and self.problems.is_declared:
             return Allowance(
                 control_breach=HELD_BREACH,
@@ -153,10 +150,8 @@ class MissionProblem:
     def stricter_refinement(self, share: float) -> RefinementOptions:
         """Return the options of the mesh refinement with two of its tolerances reduced.
 
-        The two tolerances limit the errors of the states and the violations of limits between the
-        collocation points. Their usual values are in the property `allowance`. Both are multiplied
-        by the factor `share`, less than 1. If `allowance` has no tolerance on the errors of the
-        states, the mission's own options are returned unchanged.
+        The tolerances on errors of the states and on violations of limits are multiplied by
+        `share`. If the options have no tolerance on the states, they are returned unchanged.
         """
         refinement: RefinementOptions = self.arguments["refinement"]
         allowed = refinement.allowance
@@ -195,24 +190,16 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        The easiest values smooth the kink of the power at zero over the largest width. A mission
-        with regeneration has no kink, and is solved with its own values.
-
-        ``chosen`` holds arguments of the method `Problem.solve` that replace those of the property
-        `arguments`.
+        These values give the widest smoothing of the power. ``chosen`` has arguments of the solve
+        that replace those of the property `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
     def solve_from(self, guess: Any = None, mesh: Mesh | None = None) -> Solution:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
-        An easier problem smooths the kink of the power at zero over a larger width than the
-        mission. The easier problems are solved in order of decreasing width, each from the
-        previous solution. The mission itself is solved last, with refinement of the mesh.
-
-        The solve of the mission may fail on a refined mesh. The easiest problem is then solved on
-        that mesh, and the continuation is repeated from its solution. A mission with regeneration
-        has no easier problems and is solved once.
+        Each problem is solved from the solution of an easier one. The mission itself is solved
+        last, with refinement of the mesh.
 
         Parameters
         ----------
@@ -230,6 +217,8 @@ class MissionProblem:
         for _ in range(_MOST_RETURNS):
             if easiest is None or not solution.status.has_failed or solution.mesh == easiest.mesh:
                 break
+            # The solve of the mission may fail on a refined mesh. The continuation is then repeated
+            # on that mesh, from a solution of the easiest problem.
             again = self.solve_roughly(mesh=solution.mesh, guess=easiest.trajectory)
             if not again.status.is_solved:
                 break
@@ -284,10 +273,7 @@ class MissionProblem:
     def _as_far_as(self, stopped: Solution) -> Solution:
         """Return the last iterate of an interrupted solve, evaluated with the mission's parameters.
 
-        `stopped` is the result of the interrupted solve. The solve had easier parameter values,
-        with which the kink of the power at zero is smoothed over a larger width.
-        The returned solution has the same iterate. Its energy and errors are computed with the
-        mission's own values.
+        `stopped` is the result of the interrupted solve, which had easier parameter values.
         """
         read = self.unsolved(mesh=stopped.mesh, warm_start=stopped)
         return replace(read, status=stopped.status, message=stopped.message)
@@ -295,9 +281,8 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        The point is evaluated without any iteration, to represent a mission that was not solved or
-        a solve that was interrupted. ``chosen`` holds arguments of the method `Problem.solve` that
-        replace those of the property `arguments`, such as the mesh and the initial point.
+        It represents a mission that was not solved, or an interrupted solve. ``chosen`` has
+        arguments of the solve that replace those of the property `arguments`.
         """
         options = SolverOptions(max_iterations=0)
         return self.solve(**{"tolerance": None, "options": options, "progress": None} | chosen)
@@ -306,12 +291,8 @@ class MissionProblem:
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
         """Convert the solution of another problem to the variables of the mission's problem.
 
-        The result is a trajectory that can serve as the initial guess of the mission's problem.
-        `other` is the solution of the other problem, and ``own`` is any solution of the mission's
-        problem. Variables that the other problem lacks get their values from ``own``. For example,
-        a minimum-time problem lacks the battery's charge. Static variables are variables that are
-        constant in time. If the two problems have different static variables, the values of all
-        static variables are those of ``own``.
+        ``own`` is any solution of the mission's problem. Variables that `other` lacks get their
+        values from ``own``.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -323,19 +304,21 @@ class MissionProblem:
         ):
             columns = {slot.name: k for k, slot in enumerate(known)}
             for k, slot in enumerate(slots):
+                # A minimum-time problem, for example, lacks the battery's charge.
                 if slot.name in columns:
                     values[:, k] = given[:, columns[slot.name]]
+        # Static variables are constant in time. If the two problems have different ones, all values
+        # are those of ``own``.
         is_same = [slot.name for slot in mine.statics] == [slot.name for slot in held.statics]
         statics = found.statics if is_same else path.statics
         return replace(path, mesh=mesh, states=states, algebraics=algebraics, statics=statics)
 
     @cached_property
     def past_waypoints(self) -> MissionProblem | None:
-        """Problem of an easier mission, whose flights pass exactly through the waypoints.
+        """Problem of an easier mission: through the centres of the waypoints, at any speed.
 
-        In the easier mission, the waypoints have no radius and no speed limit. The solution of the
-        easier mission is an initial point for this mission. The property is None if the waypoints
-        of this mission have no radius and no speed limit.
+        The value is None if no waypoint of this mission has a radius or a speed limit: the easier
+        mission would be the same.
         """
         plain = with_plain_passages(self.told)
         return None if plain is None else MissionProblem(self.problems, plain, self.search)
@@ -395,12 +378,8 @@ class MissionProblem:
     def keep_usable(self, finished: Solution) -> None:
         """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
-        result if the user or the time limit stops the solve. The progress callback `search` stores
-        it; without `search`, nothing happens.
-
-        The mesh refinement calls this method after the solve on each mesh. If the error is already
-        within the tolerance, the refinement ends on this mesh, and no usable plan is made.
+        A plan is usable if simulation confirms it at lower accuracy than requested. If the search
+        is stopped, it returns the best usable plan.
         """
         search = self.search
         if search is None:

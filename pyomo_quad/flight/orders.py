@@ -76,9 +76,8 @@ class OrderSearch:
     def line(self) -> str:
         """Summary of the search for the order of the waypoints, in one line.
 
-        It states the number of waypoints, the gap to the best order in per cent (see `gap`), the
-        number of legs solved, and the number of all legs. A leg is the flight from one place to the
-        next.
+        It states `gap`, the relative distance from the lower bound, and how many legs were solved.
+        A leg is the flight from one place to the next.
         """
         return (
             f"order of {len(self.order)} waypoints: the energies of its legs, planned one by one, "
@@ -113,10 +112,8 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
 def cost_of(costs: FloatArray, order: _Order) -> float:
     """Return the cost of an order of places: the sum of the costs of its legs.
 
-    A leg is the flight from one place to another. Entry (i, j) of `costs` is the cost of the leg
-    from place i to place j; place 0 is the start, the last place is the goal. `order` lists the
-    places between start and goal in the order of the flight. The number k in `order` stands for
-    the place with row k + 1 and column k + 1 in `costs`.
+    Entry (i, j) of `costs` is for the leg from place i to place j. The number k in `order` stands
+    for place k + 1.
     """
     places = np.array([0, *(k + 1 for k in order), len(costs) - 1])
     return float(costs[places[:-1], places[1:]].sum())
@@ -125,9 +122,7 @@ def cost_of(costs: FloatArray, order: _Order) -> float:
 def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders of the places between start and goal, by dynamic programming.
 
-    The method is that of Held and Karp [1]_. A state of the recursion has two parts: the set of
-    the places passed so far, and the place passed last. For each state, the `count` cheapest orders
-    of the places passed so far are kept.
+    The method is that of Held and Karp [1]_.
 
     .. [1] Held and Karp, "A dynamic programming approach to sequencing problems", SIAM J. 10
        (1962).
@@ -147,6 +142,8 @@ def exact_orders(costs: FloatArray, count: int) -> list[_Order]:
         place with index k has row k + 1 and column k + 1 in `costs`.
     """
     n = len(costs) - 2
+    # A state of the recursion is the set of the places passed so far, and the place passed last.
+    # For each state, the `count` cheapest orders of the places passed so far are kept.
     best = np.full((1 << n, n, count), inf)
     came_from = np.full((1 << n, n, count), -1, dtype=np.int32)
     for k in range(n):
@@ -181,9 +178,7 @@ def _traced_back(came_from: NDArray[np.int32], passed: int, row: int, count: int
 def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders that local search finds for the places between start and goal.
 
-    A local change exchanges two neighbouring blocks of an order, or reverses a block [1]_. An
-    exchange keeps the direction of flight within the blocks. Each step of a descent takes the best
-    of all local changes. Descents are repeated from random perturbations of the best order. The
+    A local change exchanges two neighbouring blocks of an order, or reverses a block [1]_. The
     random numbers are the same in every call.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
@@ -208,6 +203,7 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     best = _descended(finite, neighbours, nearest_first(finite))
     found = {_named(best): _cost(finite, best[None])[0]}
     for _ in range(_KICKS):
+        # Descents are repeated from random perturbations of the best order.
         kicked = best
         for exchange in random.integers(len(neighbours), size=_EXCHANGES):
             kicked = kicked[neighbours[exchange]]
@@ -220,12 +216,11 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 
 
 def _without_infinities(costs: FloatArray) -> FloatArray:
-    """Return a table of leg costs in which infinite costs are replaced by large finite numbers.
+    """Return a table of leg costs with a large number in place of infinite costs.
 
-    An infinite cost marks a leg (flight between two places) that is not allowed. Some algorithms
-    need finite numbers. Each infinite cost in the table `costs` is therefore replaced by the same
-    large number. It exceeds the cost of every order that uses allowed legs only.
+    The number exceeds the cost of every order that uses allowed legs (flights between places) only.
     """
+    # The assignment and the local search need finite numbers.
     finite = costs[np.isfinite(costs)]
     large = 1.0 + len(costs) * float(np.max(np.abs(finite), initial=0.0))
     return np.where(np.isfinite(costs), costs, large)
@@ -234,11 +229,11 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
 def _neighbours(n: int) -> IntArray:
     """Return all orders that a single local change makes from the order 0, 1, ..., n - 1.
 
-    A local change exchanges two neighbouring blocks of the order, or reverses a block. Each row of
-    the result is one changed order of the n indices. A row also serves as an index array: for any
-    array `order` of n places, `order[row]` is `order` after the local change of this row.
+    Each row is also an index array: `order[row]` is `order` after this change (see
+    `search_orders`).
     """
     every = np.arange(n)
+    # An exchange of two blocks keeps the direction of flight within them.
     rows = [
         np.concatenate([every[:i], every[j:k], every[i:j], every[k:]])
         for i, j, k in combinations(range(n + 1), 3)
@@ -258,9 +253,8 @@ def _named(order: IntArray) -> _Order:
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
     """Return the cost of each of several orders of places, shape (n_orders,).
 
-    `costs` is the table of leg costs: row 0 has the legs from the start, the last column has the
-    legs to the goal. Each row of `orders` is one order of the places between start and goal, given
-    by their indices in the table, from 1.
+    Each row of `orders` has the places between start and goal, given by their indices in the table
+    `costs`, from 1.
     """
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
@@ -269,9 +263,8 @@ def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
 def nearest_first(costs: FloatArray) -> IntArray:
     """Return the greedy order of places: the next place is always the cheapest one to reach.
 
-    `costs` is the table of leg costs or lengths: row 0 has the legs from the start, the last column
-    the legs to the goal. The result has the places between start and goal, given by their row
-    numbers in the table. These numbers begin with 1.
+    `costs` is the table of leg costs or lengths. The result has the row numbers of the places
+    between start and goal. Row 0 of the table is the start.
     """
     order, left = [0], list(range(1, len(costs) - 1))
     while left:
@@ -313,9 +306,8 @@ def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntA
 def least_cost(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of the places between start and goal.
 
-    The result is the larger of two bounds (see docs/theory/orders.md). The first bound is the cost
-    of the cheapest assignment of a successor to each place. The second bound is that of Held and
-    Karp by spanning trees [1]_; it is computed for symmetric costs.
+    The result is the larger of two bounds, by assignment and by spanning trees [1]_; see
+    docs/theory/orders.md, eqs. (2) to (5).
 
     .. [1] Held and Karp, "The traveling-salesman problem and minimum spanning trees", Operations
        Research 18 (1970).
@@ -346,17 +338,11 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
     """Return leg costs that do not depend on direction, for the lower bound by spanning trees.
 
-    A leg is the flight from one place to another. Climbs and head winds make its cost c_ij depend
-    on the direction. To remove most of this dependence, each place i gets a number p_i, its
-    potential. The cost of a leg becomes c'_ij = c_ij + p_i - p_j, see docs/theory/orders.md, eq.
-    (3). The potentials cancel in the cost of an order, because those of start and goal are zero.
-    The symmetric cost is the smaller of c'_ij and c'_ji.
-
-    `costs` is the table of leg costs. `finite` is the same table with large numbers in place of
-    infinite costs. The result is a table of the same shape. The potentials are computed from the
-    legs that are allowed in both directions.
+    `finite` is `costs` with large numbers in place of infinite costs. See docs/theory/orders.md,
+    eq. (3).
     """
     potential = np.zeros(len(costs))
+    # The potentials are computed from the legs that are allowed in both directions.
     is_both = np.isfinite(costs + costs.T)[1:-1, 1:-1]
     skew = np.where(is_both, (finite - finite.T)[1:-1, 1:-1], 0.0)
     potential[1:-1] = -skew.mean(axis=1) / 2.0
@@ -371,15 +357,11 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of places, by minimum spanning trees.
 
-    A leg is the flight from one place to another. An order is a spanning tree in which each place
-    between start and goal has exactly two legs. Without this condition, the cheapest spanning tree
-    costs at most as much as the cheapest order, so that its cost is a lower bound. Each place has a
-    multiplier, which penalises a number of legs other than two. Subgradient steps maximise the
-    bound over the multipliers; see docs/theory/orders.md, eq. (5).
-
-    `costs` is the table of symmetric leg costs. `reached` is the cost of a known order. The step
-    length is proportional to the difference between `reached` and the present bound.
+    `costs` is the symmetric table of leg costs, `reached` the cost of a known order. See
+    docs/theory/orders.md, eq. (5).
     """
+    # An order is a spanning tree in which each place between start and goal has exactly two legs.
+    # The prices of places penalise other numbers of legs.
     degrees = np.full(len(costs), 2.0)
     degrees[[0, -1]] = 1.0
     prices, best, eager, idle = np.zeros(len(costs)), -inf, 1.0, 0
@@ -400,8 +382,8 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
     """Return the cost of the minimum spanning tree, and the number of its legs at each place.
 
-    A leg connects two places; `costs` is the symmetric table of leg costs, shape (n, n). The
-    numbers of legs have shape (n,). The method is Prim's; see docs/theory/orders.md, eq. (4).
+    `costs` is the symmetric table of leg costs, shape (n, n). The method is Prim's; see
+    docs/theory/orders.md, eq. (4).
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

@@ -1,8 +1,8 @@
 """Flights in the simulator RotorPy [1]_, with this package's controller or RotorPy's own.
 
 RotorPy is independent of this package. Its flights therefore test plans and controllers. The
-declared vehicle is the vehicle of the scenario's Pyomo model. The table shows which parameters of
-RotorPy (right) follow from the declared vehicle (left):
+declared vehicle is that of the scenario's Pyomo model. The table shows which parameters of RotorPy
+(right) follow from the declared vehicle (left):
 
 declared vehicle | RotorPy
 mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k_eta, k_m
@@ -11,13 +11,10 @@ drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx
 quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
 linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
-RotorPy's rotors have no inertia. Two moments are therefore added to RotorPy's own: the gyroscopic
-moment, and the reaction of the body to accelerating rotors. RotorPy's motors follow a speed command
-with a lag. The command is chosen so that the motors have the desired rotor acceleration in spite of
-the lag. Energy is the integral of the declared power at RotorPy's rotor speeds.
-
-Some features of RotorPy's own simulation differ from the declared equations. They are off by
-default; `Habits` switches them on one at a time.
+RotorPy neglects the inertia of the rotors. Two moments on the body are therefore added to RotorPy's
+equations: the gyroscopic moment of spinning rotors, and the yaw moment of accelerating rotors.
+Energy is the integral of the declared power at RotorPy's rotor speeds. `Habits` switches on
+features of RotorPy's own simulation that differ from the declared equations.
 
 .. [1] Folk, Paulos and Kumar, "RotorPy: A Python-based Multirotor Simulator with Aerodynamics for
    Education and Research", arXiv 2306.04485.
@@ -109,9 +106,7 @@ class Pilot(StrEnum):
 class BodyFrame:
     """Body axes and rotor numbers of RotorPy's vehicle, relative to the scenario's model.
 
-    `turn` is the angle from the model's body x axis to the body x axis of RotorPy's vehicle [rad].
-    `order` has one entry for each of RotorPy's rotors. Entry k is the number that RotorPy's rotor k
-    has in the model. Both numbers count from 0.
+    Entry k of `order` is the number of RotorPy's rotor k in the model. Both numbers count from 0.
     """
 
     turn: float = 0.0
@@ -124,12 +119,7 @@ class BodyFrame:
 class Habits:
     """Switches for features of RotorPy's own simulation that differ from the scenario's model.
 
-    With the default values of the switches, RotorPy's vehicle obeys the equations of the scenario's
-    Pyomo model. RotorPy's own simulation differs from them in these points:
-    - Its gravity and the tolerance of its integrator may have other values.
-    - Its rotors cause no gyroscopic moment.
-    - Its rotors do not turn the body in yaw when they accelerate.
-    - Its rotor commands change only at a fixed rate.
+    With the default values, RotorPy's vehicle obeys the equations of the scenario's Pyomo model.
     """
 
     gravity: float | None = None
@@ -207,10 +197,9 @@ def quad_parameters(scenario: Scenario, dynamics: Dynamics) -> dict[str, Any]:
 class OutsidePlant:
     """RotorPy's multirotor, simulated with the states, controls and power of the declared model.
 
-    The declared model is the scenario's Pyomo model, and the declared states are its states. A
-    simulation has a joint state, an array of four parts: RotorPy's state vector, the declared
-    states that RotorPy lacks (such as the charge drawn from the battery), the states of a control
-    law, and the energy spent.
+    The declared model is the scenario's Pyomo model. A joint state has four parts: RotorPy's state
+    vector, the declared states that RotorPy lacks (such as the charge drawn), the states of a
+    control law, and the energy spent.
 
     Parameters
     ----------
@@ -267,12 +256,10 @@ class OutsidePlant:
         self._wind = _wind_of(scenario, dynamics)
 
     def started(self, x: FloatArray, own: Sequence[float]) -> FloatArray:
-        """Return the initial joint state of a simulation.
+        """Return the initial joint state of a simulation (see `OutsidePlant`).
 
-        `x` holds the initial states of the scenario's Pyomo model (declared states), shape
-        (n_states,). `own` holds the initial states of the control law. The joint state consists of
-        RotorPy's state vector, the declared states that RotorPy lacks, the law's states, and the
-        energy spent.
+        `x` holds the initial declared states, shape (n_states,). `own` holds the initial states of
+        the control law.
         """
         s = np.zeros(_SIZE)
         s[:6] = x[self._place]
@@ -285,9 +272,8 @@ class OutsidePlant:
     def read(self, joint: FloatArray) -> FloatArray:
         """Return the declared states, shape (n_states,), from a joint state of the simulation.
 
-        Declared states are those of the scenario's Pyomo model. The joint state consists of
-        RotorPy's state vector, the declared states that RotorPy lacks, the states of the control
-        law, and the energy spent.
+        The declared states are those of the scenario's Pyomo model. For the joint state, see
+        `OutsidePlant`.
         """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
@@ -378,13 +364,13 @@ class OutsidePlant:
     def _of_rotors(self, s: FloatArray, alpha: FloatArray) -> FloatArray:
         """Return the moments on the body that RotorPy neglects, shape (3,) [N m].
 
-        The result is the sum of the gyroscopic moment of the spinning rotors and the reaction to
-        the angular acceleration of the rotors. `s` is RotorPy's state vector. `alpha` has the rotor
-        accelerations in RotorPy's order of the rotors [rad/s^2].
+        `s` is RotorPy's state vector. `alpha` has the rotor accelerations in RotorPy's order of the
+        rotors [rad/s^2].
         """
         directions = self._vehicle.rotor_dir
         spin, gathering = directions @ s[_SPEEDS], directions @ alpha
         p, q, _ = s[_BODY_RATES]
+        # Spinning rotors cause a gyroscopic moment, and accelerating rotors turn the body in yaw.
         turning = self._gyroscopic * spin
         return np.array([q * turning, -p * turning, self._reacting * gathering])
 
@@ -469,18 +455,15 @@ class OutsidePlant:
     ) -> Callable[[float, FloatArray], FloatArray]:
         """Return the right-hand side of the closed loop for one period in which the law is smooth.
 
-        The returned function takes a time [s] and the joint state. It returns the time derivative
-        of the joint state under the control law `law`. It raises a SolveError if the vehicle
-        tumbles.
-
-        The period ends at the time `last` [s]. The time `inside` [s] is just after its start, at
-        which the law may jump. For earlier times, the law is evaluated at `inside`, so that the
-        integrator sees no jump.
+        The law may jump at the start of the period. Earlier times than `inside` [s], just after the
+        start, are therefore replaced by `inside`. The period ends at `last` [s]. The returned
+        function raises a SolveError if the vehicle tumbles.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
             guard.evaluated(t)
+            # The law may jump at the start of the period. The integrator must not see the jump.
             return self.rates(max(t, inside), joint, law)
 
         return slope
@@ -488,12 +471,11 @@ class OutsidePlant:
     def _with_constant_command(self, law: OutsideLaw, t: float, joint: FloatArray) -> OutsideLaw:
         """Return a law that keeps the rotor-speed commands of ``law`` constant from time t [s] on.
 
-        Let w be the speed of a rotor, alpha the rotor acceleration that ``law`` returns, and tau
-        the time constant of the motors. The command at time t is c = w + tau alpha, evaluated with
-        the joint state `joint` at this time. The motors follow the constant command with a lag, so
-        that the returned law gives the rotor acceleration (c - w) / tau at later times. RotorPy's
-        own simulation also keeps the commands constant between two evaluations of its controller.
+        The commands follow from the joint state `joint` at this time.
         """
+        # Rotors of speed w follow the command c with the lag tau: they accelerate by (c - w) / tau.
+        # With c = w + tau alpha, this is alpha at time t. RotorPy's own simulation also keeps
+        # commands constant between two evaluations of its controller.
         x, lag = self.read(joint), self.parameters["tau_m"]
         command = x[self._rotors] + lag * np.asarray(law(t, x, self.own(joint))[0], dtype=float)
 
@@ -510,9 +492,8 @@ _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
 def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
     """Return the wind of the scenario's model, as a function of time and of the model's states.
 
-    `scenario` is the mission with its wind, `dynamics` has the equations of the model. The returned
-    function takes a time [s] and the states, shape (n_states,); it returns the wind along world x,
-    y and z, shape (3,) [m/s].
+    The function takes a time [s] and the states. It returns the wind along world x, y and z, shape
+    (3,) [m/s].
     """
     keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
 
@@ -533,13 +514,13 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    In RotorPy the wind acts only through the airspeed. With the setting `wind.coupling =
-    "acceleration"`, the wind of a scenario is an acceleration of the vehicle, as in eq. (9) of
-    Yacef et al., the source of this package's quadrotor model. A zero wind is accepted.
+    A zero wind is accepted.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
     blows = is_steady or not wind.is_formula or _blows(wind.x) or _blows(wind.y)
+    # In RotorPy the wind acts only through the airspeed. As an acceleration, it acts as in eq. (9)
+    # of Yacef et al., the source of this package's quadrotor model.
     if wind.coupling is WindCoupling.ACCELERATION and blows:
         raise ScenarioError(
             f"{scenario.name}: wind.coupling = acceleration has no counterpart in RotorPy, whose "
@@ -713,13 +694,8 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
-    The law returns the planned acceleration alpha of each rotor of RotorPy's vehicle `plant`. The
-    times are the boundaries of the plan's mesh elements.
-
-    If `plant.habits` prescribes rotor-speed commands at a fixed rate, the simulation computes each
-    command from the result of the law: command = w + tau * result. Here w is the actual rotor speed
-    and tau the time constant of the motors. The law then returns alpha + (w_plan - w) / tau, where
-    w_plan is the planned rotor speed. The command is therefore w_plan + tau * alpha, as planned.
+    The law returns the planned rotor accelerations [rad/s^2]. The times are the boundaries of the
+    plan's mesh elements.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon
@@ -734,6 +710,9 @@ def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]
         k = int(np.clip(np.searchsorted(borders, t, side="left") - 1, 0, len(pieces) - 1))
         alpha = pieces[k](t)
         if plant.habits.command_rate_hz is not None:
+            # The simulation computes each command from the result r of the law: w + tau r, where w
+            # is the rotor speed. With r = alpha + (w_plan - w) / tau, the command is w_plan + tau
+            # alpha, as planned.
             planned = held.states_at(np.array([t]))[0, rotors]
             alpha = alpha + (planned - x[rotors]) / plant.parameters["tau_m"]
         return alpha.tolist(), ()

@@ -36,13 +36,8 @@ def solve_side_by_side(
 ) -> tuple[Solution, ...]:
     """Carry out solves of a mission, as many at the same time as there are cores.
 
-    Solves run in this process and in forked copies of it. The solutions do not depend on the number
-    of cores. All solves run in this process, one after the other, if there is a single solve or a
-    single core. The same holds for a call of this function from inside one of its own solves.
-
-    If the user or the time limit stops the solves, this process no longer waits for the copies. It
-    calls the unfinished solves itself. Each of them ends at once and returns a result that has not
-    converged.
+    The solutions do not depend on the number of cores. A solve that is stopped returns a result
+    that has not converged.
 
     Parameters
     ----------
@@ -59,6 +54,7 @@ def solve_side_by_side(
     tuple of Solution
         Results in the order of `solves`, converged or not.
     """
+    # A call from inside one of the solves runs its own solves one after the other.
     if len(solves) < 2 or most_solves() < 2 or _SHARED:
         return tuple(solve() for solve in solves)
     search, here = mission.search, os.getpid()
@@ -78,6 +74,8 @@ def solve_side_by_side(
         return _Sent(solution, new, search.work - work)
 
     _SHARED[:] = [mission.problem, mission.problem.compiled]
+    # After a stop, this process no longer waits for the copies. It calls the unfinished solves
+    # itself, and each of them ends at once.
     is_stopped = None if search is None else search.is_stopped
     tasks = [partial(carry_out, solve) for solve in solves]
     try:
@@ -99,9 +97,8 @@ def solve_side_by_side(
 class _Sent(NamedTuple):
     """Result of a solve in a forked copy of this process, as the copy sends it back.
 
-    `solution` is the solution. `usable` is the best usable plan that the copy made: a plan that
-    simulation confirms at lower accuracy than requested. It is None if the best usable plan is
-    still the one that existed before the fork. `work` is the number of mesh points, summed over the
+    `usable` is the best usable plan that the copy made. It is None if the copy made none that is
+    better than the plan known before. `work` is the number of mesh points, summed over the
     iterations of Ipopt.
     """
 
@@ -115,16 +112,12 @@ _SHARED: list[object] = []
 
 
 def _reduced(sent: object) -> Any:
-    """Reduce an object for `pickle`, in a forked copy that sends a solution to this process.
+    """Return how `pickle` encodes an object that a forked copy sends to this process.
 
-    The list `_SHARED` has the problem of the mission and its compiled form. The copy and the
-    original process both have these objects. If `sent` is one of them, only its index in the list
-    is sent. Any other object is sent as a whole.
-
-    The result is a reduction as the module `pickle` defines it: a function and its arguments. In
-    the original process, `pickle` calls the function with the arguments to obtain the object. For
-    an object of the list, the function is `_shared` and the argument is the index.
+    If both processes have the object (list `_SHARED`), only its index is sent. The result is a
+    function that restores the object, and its arguments, as `pickle` defines it.
     """
+    # Both processes have the objects of this list, so that only their index is sent.
     for place, shared in enumerate(_SHARED):
         if sent is shared:
             return _shared, (place,)
@@ -134,8 +127,6 @@ def _reduced(sent: object) -> Any:
 def _shared(place: int) -> object:
     """Return the object with the index `place` in the list `_SHARED`.
 
-    The list has the objects that forked copies of this process do not send back, because the
-    original process has them: the problem of the mission and its compiled form. `pickle` calls this
-    function in the original process, to replace the index that a copy has sent.
+    `pickle` calls this function in the original process, for an index that a copy has sent.
     """
     return _SHARED[place]

@@ -548,9 +548,8 @@ class Plan(Summarised):
     def risk_words(self) -> str:
         """Sentence on the risk of the plan and the energy that its margins cost.
 
-        The risk is the probability that a flight in turbulence breaks a limit. Margins are the
-        amounts by which limits were tightened for the plan. If the plan has no margins, the
-        sentence is a warning that gusts or a wrong wind forecast would break the limits.
+        The risk is the probability that a flight in turbulence breaks a limit. If the plan has no
+        margins, the sentence warns that gusts or a wrong wind forecast would break the limits.
         """
         return PAPER_PLAN if self.risk is None else self.risk.words(self.energy)
 
@@ -603,10 +602,8 @@ class Plan(Summarised):
     def figures_checked(self) -> Figures:
         """Tolerances on the differences between the plan and the simulation of its controls.
 
-        If the differences are within these tolerances, the simulation confirms the plan. For a plan
-        of status `USABLE`, the tolerances are `scenario.accuracy.USABLE`: the flight may end half a
-        metre from the goal. For any other plan, they follow from the accuracy that the scenario
-        requests.
+        They follow from the accuracy that the scenario requests. For a plan of status `USABLE`,
+        they are `scenario.accuracy.USABLE`: the flight may end half a metre from the goal.
         """
         usable = self.status is PlanStatus.USABLE
         return USABLE if usable else FIGURES[self.scenario.solver.accuracy]
@@ -630,15 +627,13 @@ class Plan(Summarised):
 
         The fraction depends on the plan:
 
-        - Verified plan: the smaller of the plan's error estimate (which includes the error of the
-          energy) and the tolerance that the scenario requests.
-        - Other plan, with at least two meshes: the relative change of the objective from the second
-          last to the last mesh.
-        - Other plan, with one mesh: the plan's error estimate, infinite if no error could be
-          estimated.
+        - Verified plan: its error estimate, or the requested tolerance if that is smaller.
+        - Other plan, with at least two meshes: the relative change of the objective between the
+          last two.
+        - Other plan, with one mesh: its error estimate, which may be infinite.
 
-        If the plan is not verified, the fraction is at least the energy tolerance of the lowest
-        accuracy, `quick`, because two meshes may agree by chance.
+        If the plan is not verified, the fraction is at least the energy tolerance of the accuracy
+        `quick`.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)
@@ -646,6 +641,7 @@ class Plan(Summarised):
             return max(self.error_estimate, FIGURES[Accuracy.QUICK].energy)
         last, now = self.history[-2:]
         change = abs(now.objective - last.objective) / max(abs(now.objective), LEAST_ENERGY_J)
+        # Two meshes may agree by chance.
         return max(change, FIGURES[Accuracy.QUICK].energy)
 
     @property
@@ -692,12 +688,8 @@ class Plan(Summarised):
         """Estimate the energy still needed by a flight that ends off the goal [J].
 
         The estimate is the sum of lambda_i (x_i - x_i,planned) over the states i. Here lambda_i is
-        the costate at the end of the plan, and x_i the final value of the state in the flight.
-
-        Let E be the least energy to the planned final state, and E' the least energy to the
-        flight's final state. The estimate is the first-order approximation of E - E'. If the least
-        energy is a convex function of the final state, E - E' is at most the estimate. The flight
-        spends at least E'. The energy of the flight plus the estimate is then at least E.
+        the costate at the end of the plan, and x_i the final value of the state in the flight. See
+        docs/theory/transcription.md, eq. (14).
 
         Parameters
         ----------
@@ -724,8 +716,7 @@ class Plan(Summarised):
         """Costates at the end of the plan, by state name [J per unit of the state].
 
         The costate of a state is the derivative of the energy of the rest of an optimal flight with
-        respect to this state. `owed_energy` uses the costates at the end to estimate the energy
-        that a flight which ends off the goal still needs.
+        respect to this state. See `owed_energy`.
         """
         held = self.trajectories
         return dict(zip(held.costate_names, held.costates[-1].tolist(), strict=True))
@@ -795,8 +786,8 @@ class Plan(Summarised):
     def times(self, rate_hz: float | None = None) -> FloatArray:
         """Return the times [s] of the rows in the table of the plan, which `to_frame` returns.
 
-        By default, the times are those of the mesh nodes. With a sampling rate ``rate_hz`` [Hz],
-        the times are equally spaced from the start to the end of the flight.
+        By default they are the times of the mesh nodes. If a rate ``rate_hz`` [Hz] is given, the
+        times are equally spaced from start to end.
 
         Raises
         ------
@@ -832,9 +823,8 @@ class Plan(Summarised):
     def at(self, t: float | Sequence[float] | FloatArray) -> pd.Series | pd.DataFrame:
         """Return all quantities of the plan at a time `t` [s], or at several times.
 
-        The quantities are the columns of the table that the method `to_frame` returns. For a single
-        time, the result is a series with the time as its name. For several times, the result is a
-        table with one row for each time, and the time as its index.
+        The quantities are the columns of `to_frame`. A single time gives a series with the time as
+        its name. Several times give a table with the time as its index.
 
         Raises
         ------

@@ -42,10 +42,8 @@ class Planner(Problems):
     def until_stopped(self) -> AbstractContextManager[Callable[[], bool]]:
         """Return a context manager for a series of solves that the user may stop together.
 
-        In `with planner.until_stopped() as is_stopped`, the name `is_stopped` is a function without
-        arguments. The function returns whether the user has stopped one of the solves. In this
-        class, a user cannot stop solves, and the function returns False. In the planner of the
-        command line, it returns whether Ctrl-C was pressed.
+        Its ``as`` variable is a function that returns whether the user has stopped the series. Here
+        the function always returns False. A subclass for the command line asks for Ctrl-C.
         """
         return nullcontext(lambda: False)
 
@@ -114,15 +112,9 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        First, the minimum-time problem is solved. Then flights of least energy are solved for fixed
-        durations that decrease towards the least duration. Each solve starts from the previous
-        solution. The result is the plan of the shortest duration that a simulation confirms to the
-        requested accuracy. If none is confirmed, it is the first of these plans, which has the
-        longest duration.
-
-        If the minimum-time problem cannot be solved, the mission is solved for the least energy,
-        from the initial point `start` (None for the model's own). This plan is returned with the
-        status "not converged". `search` is the progress callback of all solves.
+        Plans are made for durations that decrease towards the least duration. The result is the
+        last verified plan, or the first plan if none is verified. If the minimum-time problem
+        fails, the mission is solved from `start` instead, with status "not converged".
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

@@ -31,12 +31,10 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key; scenarios with equal keys have problems with the same initial states.
+    """Return a key that is equal for scenarios whose problems have the same initial states.
 
-    The cached problem of one scenario can then be used to simulate the other. The key is for
-    scenarios of fixed duration. The initial states are independent of three parts of a scenario,
-    which the key leaves out: the duration, the wind, and the settings of baseline flights. In a
-    baseline flight, a controller follows a reference other than the plan, for comparison.
+    It is the scenario without duration, wind and settings of baseline flights. The key may be used
+    only for scenarios of fixed duration.
     """
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
@@ -50,9 +48,7 @@ class Problems:
     """Compiler of scenarios, which caches compiled problems.
 
     Scenarios that differ only in parameter values share a compiled problem. Problems of the
-    package's own model are in a cache that all planners of the process share. Initial guess and
-    scaling are always computed for the scenario to be solved, so that results are independent of
-    earlier solves.
+    package's own model are in a cache that all planners of the process share.
 
     Parameters
     ----------
@@ -93,6 +89,8 @@ class Problems:
         """
         key = self._key(scenario)
         built_for, problem = self._problems.get(key) or (scenario, None)
+        # Initial guess and scaling are always computed for the scenario to be solved, so that
+        # results are independent of earlier solves.
         if problem is not None and guess_key(built_for) == guess_key(scenario):
             return problem, {"build": 0.0, "compile": 0.0}
         started = time.perf_counter()
@@ -120,11 +118,8 @@ class Problems:
     ) -> SteadyFlight:
         """Return the calculator of steady flight of a scenario's vehicle in still air.
 
-        Steady flight is hover, or flight at a constant velocity. The calculator is cached by
-        scenario.
-
-        A user's own model may have states that the mission does not define. `known` maps the names
-        of these states to their initial values.
+        A user's own model may have states that the mission does not define. `known` maps their
+        names to initial values.
         """
         steady = self._steady.get(scenario)
         if steady is None:
@@ -145,9 +140,8 @@ class Problems:
     def dynamics(self, scenario: Scenario) -> Dynamics:
         """Return the equations of a scenario's vehicle in its wind, for simulations.
 
-        The equations include limits, such as the limits on thrust. A plan must leave some rotor
-        speed and thrust unused, as a reserve for the controller. The limits in the result are those
-        of simulated flights, which may use this reserve.
+        The limits of the equations are wider than those of plans. A plan leaves the controller a
+        reserve of rotor speed and thrust, which a simulated flight may use.
         """
         _, problem = self._problems.get(self._key(scenario)) or (scenario, None)
         if problem is None or not self._starts_alike(scenario):
@@ -159,24 +153,16 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        Scenarios that differ only in parameter values share a cached problem, which was built for
-        one of them. If the result is True, the equations of the cached problem can be used to
-        simulate `scenario`. Without a cached problem, the result is False.
-
-        The result is True if `scenario` and the scenario of the cached problem are equal except for
-        these parts:
-        - the wind;
-        - if both scenarios have a fixed duration, also the duration and the settings of baseline
-          flights (flights of a controller along a reference, for comparison).
-
-        The result is False for a user's own model. It is also False for a wind measured over time
-        (`scenario.wind.series`). The model samples this wind at fixed fractions of the duration, so
-        that the samples depend on the duration.
+        If so, the equations of the cached problem can be used to simulate `scenario`. If no problem
+        is cached for it, the result is False.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
+        # A wind measured over time is sampled at fixed fractions of the duration, so that the
+        # samples depend on the duration.
         if built_for is None or not self.is_declared or scenario.wind.series is not None:
             return False
         if built_for.mission.is_free or scenario.mission.is_free:
+            # With a free duration, the scenarios may differ in the wind only.
             return guess_key(built_for) == guess_key(scenario)
         return _start_key(built_for) == _start_key(scenario)
 

@@ -111,14 +111,10 @@ def refuse_unproven(
 def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by too much.
 
-    `scenario` gives the name of the mission for the error message. `verification` has the
-    violations of limits along the simulated flight. `allowed` has the tolerances: a relative one,
-    `breach`, for limits other than the heading.
-
-    `allowed` also has an absolute tolerance, `intrusion` [m], for zones, floor, ceiling and fence.
-    It is ignored here, because it is too strict for the rounded controls of a plan that was read
-    from a table.
+    `verification` has the violations of limits, and `allowed` the tolerances.
     """
+    # The absolute tolerance on zones, floor, ceiling and fence [m] is too strict for the rounded
+    # controls of a plan that was read from a table.
     figures = replace(allowed, intrusion=inf)
     for breach in beyond(verification.breaches, figures):
         raise ScenarioError(
@@ -132,10 +128,8 @@ def _refuse_failed(
 ) -> None:
     """Raise a ScenarioError if a plan's simulated flight does not meet the tolerances.
 
-    The function checks the energy, the waypoints, and whether the battery can supply the power.
-    `verification` compares the simulated flight with the plan. `energy` is the energy that the plan
-    states [J]. `allowed` has the tolerances. `scenario` gives the name of the mission for the error
-    message.
+    The function checks energy, waypoints, and the power of the battery. `energy` is the energy that
+    the plan states [J].
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
@@ -239,9 +233,8 @@ def _refuse_other_ends(
 ) -> None:
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
-    `scenario` has the mission. `states` has the planned states at the nodes, shape (n_points + 1,
-    n_states), in the order of the equations `dynamics`. The tolerance of a state is allowed.miss *
-    max(1, |value|), where value is that of the mission.
+    `states` has the shape (n_points + 1, n_states). The tolerance of a state is allowed.miss *
+    max(1, abs(its value in the mission)).
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
@@ -267,9 +260,8 @@ def _refuse_astray(
 ) -> None:
     """Raise a ScenarioError if the simulated states deviate from the states of the plan.
 
-    `planned` is the plan. `flown` has the states that a simulation of the plan's controls gives,
-    with the equations `dynamics`. The tolerance of a state is allowed.miss * max(1, |planned
-    value|), at all times. `scenario` gives the name of the mission for the error message.
+    `flown` is the simulation of the plan's controls. The tolerance of a state is allowed.miss *
+    max(1, abs(planned value)).
     """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""

@@ -11,13 +11,11 @@ The plan includes the effect of the forecast wind on the vehicle. A controller t
 therefore adapts only to the error of the forecast. The other references ignore the wind.
 
 The quintic minimises the integral of the squared jerk; the polynomial of degree 7 minimises the
-integral of the squared snap [1]_. Both go straight from start to goal in the duration of the
-mission. If the mission has waypoints, both are splines of these degrees through the waypoints.
-After the end of the mission, both stay at the goal. Yaw is a polynomial or spline of the same
-degree.
+integral of the squared snap [1]_. If the mission has waypoints, both are splines through these. Yaw
+is a polynomial or spline of the same degree.
 
-.. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors",
-   ICRA 2011.
+.. [1] Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors", ICRA
+   2011.
 """
 
 from bisect import bisect_right
@@ -42,12 +40,8 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    `place` has x, y, z [m] and yaw [rad]. `rate` and `acceleration` have the first and the second
-    time derivatives of these four values. If the reference is a plan, `acceleration` has only the
-    part that the rotors cause, and not the part that the air causes.
-
-    If the reference is a plan, `tilting` has the rates of roll and pitch, followed by their
-    accelerations. It is None for other references, which do not define the attitude.
+    If the reference path is a plan, the acceleration excludes the part that the air is expected to
+    cause, and `tilting` is given. Other reference paths ignore the air and the attitude.
     """
 
     place: Sequence[float]
@@ -160,9 +154,8 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    From the start of the flight, the reference is at the first waypoint. It stays at a waypoint
-    until the vehicle is to leave it: at the prescribed time of the waypoint plus the duration of
-    the hover there. Then it jumps to the next waypoint or to the goal.
+    The path begins at the first waypoint. It jumps when the vehicle is to leave a waypoint: at the
+    waypoint's prescribed time plus the duration of its hover.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -176,12 +169,10 @@ class _Steps:
 
 
 def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
-    """Return the places of a mission in order, and the times at which they are to be reached.
+    """Return the places of a mission in order, and the times [s] at which they are to be reached.
 
-    The places are start, waypoints and goal. Each place is a list of x, y, z [m] and yaw [rad]. If
-    the mission does not prescribe the yaw at a waypoint, the yaw is interpolated in time. The times
-    are in s: zero for the start, the prescribed time of each waypoint, and the duration of the
-    mission for the goal.
+    Each place is a list of x, y, z [m] and yaw [rad]. A yaw that is not prescribed is interpolated
+    in time.
 
     Raises
     ------
@@ -208,9 +199,8 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
 def step(mission: Mission) -> ReferencePath:
     """Return the reference path that jumps to each waypoint of a mission in turn and to the goal.
 
-    From the start of the flight, the path is at the first waypoint. When the vehicle is to leave a
-    waypoint, the path jumps to the next waypoint or to the goal. Without waypoints, the path is at
-    the goal from the start.
+    The path jumps when the vehicle is to leave a waypoint. If the mission has no waypoints, the
+    path stays at the goal from the start.
     """
     return _Steps(mission) if mission.waypoints else StraightPath(mission, _STEP)
 
@@ -218,8 +208,7 @@ def step(mission: Mission) -> ReferencePath:
 def quintic(mission: Mission) -> ReferencePath:
     """Return the reference path from rest to rest with the least integral of the squared jerk.
 
-    The path is a polynomial of degree 5 in time from start to goal of the mission. If the mission
-    has waypoints, it is a spline of this degree through the waypoints.
+    It is a polynomial of degree 5 in time, or a spline of this degree through waypoints.
     """
     return WaypointPath(mission, 2) if mission.waypoints else StraightPath(mission, _QUINTIC)
 
@@ -271,11 +260,7 @@ class SampledPath:
 class PlannedPath:
     """Plan as a reference path: a separate cubic spline through the samples of each quantity.
 
-    Velocities and accelerations have their own splines through planned values. They are not
-    derivatives of the position spline, because differentiation amplifies errors. The polynomials of
-    a plan satisfy its equations at the collocation points only. If the samples are h seconds apart,
-    a position error of d metres between these points becomes an acceleration error of about 6
-    d/h^2.
+    Velocities and accelerations have their own splines through planned values.
 
     Parameters
     ----------
@@ -298,6 +283,9 @@ class PlannedPath:
     ) -> None:
         from scipy.interpolate import CubicSpline  # noqa: PLC0415  as above
 
+        # Differentiation of the position spline would amplify errors. A plan satisfies its
+        # equations at the collocation points only. With samples h seconds apart, a position error
+        # of d metres between them becomes an acceleration error of about 6 d/h^2.
         held = np.hstack([values, rates, accelerations, tilt_rates])
         tilt_accelerations = CubicSpline(times, tilt_rates).derivative()
         self._row = _Pieces(times, [CubicSpline(times, held).c, tilt_accelerations.c])

@@ -1,14 +1,8 @@
 """Solves of the remaining mission during a flight (re-planning), with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight. It ends at the goal, or in the
-next hover at a waypoint. The flight after this hover is planned later, because it does not affect
-the flight before the hover.
-
-The limits of a re-plan are soft: they may be violated at a penalty (see `model.soft_limits`). They
-are tightened by the margins of the plan made before take-off (see `flight.margins`). The clearance
-from keep-out zones is three centimetres larger than the mission requires, to allow for the error of
-a coarse mesh. The mesh has short elements at the present time, where a disturbance is corrected,
-and near the passages of waypoints. Elsewhere the elements are long.
+next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`). They
+are tightened by the margins of the plan made before take-off (see `flight.margins`).
 
 The remaining mission after each waypoint has its own equations. They are compiled and solved once
 before take-off. For the penalty and the initial state of a re-plan, see docs/theory/soft_limits.md,
@@ -118,9 +112,8 @@ _SPARE_M = 0.03
 class Belief:
     """Estimates that a plan made in flight is based on: mass and acceleration by the air.
 
-    `mass` is the mass of the vehicle with its payload at take-off [kg]. `unexplained` is the
-    horizontal acceleration, along world x and y, that the air causes in addition to the effect of
-    the assumed wind [m/s^2].
+    `mass` includes the payload at take-off [kg]. `unexplained` is the horizontal acceleration that
+    the air causes in addition to the assumed wind, along world x and y [m/s^2].
     """
 
     mass: float
@@ -152,10 +145,10 @@ class Remainder:
     def planned_until(self) -> float:
         """Time [s] after which no new plan is made until the next waypoint or the end.
 
-        After this time the vehicle follows its last plan. The reason is that a plan must reach the
-        next waypoint or the end exactly. With little time left, it would spend much energy to
-        counteract every gust.
+        After this time the vehicle follows its last plan.
         """
+        # A plan must reach the next waypoint or the end exactly. With little time left, it would
+        # spend much energy to counteract every gust.
         if not self.passages:
             return self.end - min(_LAST, _LAST_SHARE * (self.end - self.begin))
         ahead = self.passages[0] - self.begin
@@ -165,9 +158,8 @@ class Remainder:
     def timeline(self, t: float) -> Timeline:
         """Return the mapping from fractions of the horizon to times, for a plan from time t [s].
 
-        In the compiled problem, the start, the passages of waypoints and the end are at fixed
-        fractions of the horizon. The result maps these fractions to times: the start to `t`, and
-        the passages and the end to the times of the mission. In between, the mapping is linear.
+        Start, passages and end have fixed fractions in the compiled problem. Between them, the
+        mapping is linear.
         """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
@@ -177,13 +169,13 @@ class Remainder:
     def mesh(self, t: float) -> Mesh:
         """Return the mesh of a plan made in flight for the rest of the mission, from time t [s].
 
-        The mesh has short elements at the present time, the waypoints and the end. Several
-        successive solves use the same mesh, so that they can reuse the structure of the equations.
-        A new mesh is made whenever the time to the next waypoint, or to the end, has decreased by a
-        fifth.
+        It has short elements at the present time, where a disturbance is corrected, at the
+        waypoints and at the end.
         """
         first = self.passages[0] if self.passages else self.end
         whole = first - self.begin
+        # Successive solves on one mesh reuse the structure of the equations. A new mesh is made
+        # when the time to the next waypoint, or to the end, has decreased by a fifth.
         shrunk = floor(log((first - t) / whole) / log(_KEPT)) if t > self.begin else 0
         then = self.timeline(first - whole * _KEPT**shrunk)
         pairs = pairwise(then.times.tolist())
@@ -196,9 +188,7 @@ class Remainder:
     def guess(self, t: float, known: Trajectories) -> dict[str, FloatArray]:
         """Return the initial guess of a new plan: samples of a known plan from time t [s] on.
 
-        The result maps "time" to the times of the samples [s], and the full name of each variable
-        to its values at these times; all arrays have the same length. `known` is the known plan.
-        The samples end at the end of the remaining mission.
+        The result maps "time" and the full name of each variable to arrays of the same length.
         """
         declared = self.problem.compiled.declared
         times = np.linspace(t, self.end, _GUESSED)
@@ -346,14 +336,8 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining missions before take-off, for initial guesses of solves in flight.
 
-        The remaining missions are the whole mission and the mission after each waypoint. The
-        initial state of each is the planned state at its start. `plan` is the plan made before
-        take-off. The object stores the solutions, as initial guesses of the first re-plans (new
-        plans in flight).
-
-        If a solution violates a soft limit, the penalty on violations is increased and the solve is
-        repeated. A penalty above the norm of the multipliers is exact: the solution then keeps all
-        limits, if any solution does.
+        `plan` is the plan made before take-off. The penalty on violations is increased until it is
+        exact, see docs/theory/soft_limits.md, eq. (2).
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -463,10 +447,8 @@ class Replanner:
     def is_off(self, course: Course, t: float, state: FloatArray) -> bool:
         """Return whether a flight has used up its margin to any limit.
 
-        The margin is the amount by which the limit was tightened for the plan. The distances of the
-        vehicle and of its plan from the limit are compared. The margin is used up if the distance
-        of the vehicle is smaller by more than the margin. `course` has the plan. `state` is the
-        measured state at time t [s], shape (n_states,).
+        A margin is used up if the vehicle is nearer to the limit than its plan by more than the
+        margin. `state` is measured at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -486,15 +468,8 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        The prediction begins with the planned state at the time `end`. Attitude and rotor speeds
-        are changed so that the thrust also balances the acceleration `unexplained`. Otherwise the
-        re-plan would begin with a rotation to the attitude that does so.
-
-        The controller can correct a deviation from the plan of at most `tube` [m] (an attribute).
-        If the measured position is within this distance of the planned position, the prediction has
-        the planned position and velocity. Otherwise both are moved towards the measured values,
-        until the remaining distance is `tube`. They are not moved further: the vehicle always lags
-        a little behind its plan, and this lag would be added in each re-plan.
+        It is the planned state, moved towards the measured state until the controller can correct
+        the remaining deviation; see docs/theory/soft_limits.md, eq. (3).
 
         Parameters
         ----------
@@ -531,9 +506,8 @@ class Replanner:
     ) -> None:
         """Change a planned state so that the thrust balances an additional acceleration.
 
-        Attitude and rotor speeds in `state` are changed in place. `setpoint` is the plan's setpoint
-        at the time of the state. `unexplained` is the acceleration that the plan does not include,
-        shape (3,) [m/s^2].
+        Attitude and rotor speeds in `state` are changed in place. The plan does not include the
+        acceleration `unexplained`, shape (3,) [m/s^2].
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight
@@ -567,9 +541,7 @@ def breach_of(solution: Solution) -> float:
 def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
     """Return the remaining missions after the first 0, 1, 2, ... waypoints of a mission.
 
-    Each entry has a remaining mission and its compiled optimal control problem. The last entry is
-    the flight from the last waypoint to the goal. `believed` is the whole mission, with the wind
-    and the vehicle that plans assume.
+    `believed` is the whole mission, with the wind and the vehicle that plans assume.
     """
     mission, times = believed.mission, believed.nominal_times
     ahead = [_ahead(believed, k) for k in range(len(mission.waypoints) + 1)]
@@ -597,15 +569,14 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    `believed` is the whole mission, with the wind and the vehicle that plans assume. If there are
-    hovers at the remaining waypoints, the result ends during the first of them. Its goal is then
-    the position of this waypoint. The later parts of the mission are left out, because they do not
-    affect the flight before the hover.
+    It ends during the first of the remaining hovers, if any. `believed` is the whole mission, with
+    the wind that plans assume.
     """
     mission = believed.mission
     left = mission.waypoints[k:]
     values: dict[str, object] = {"waypoints": left}
     holding = next((n for n, waypoint in enumerate(left) if waypoint.hold > 0.0), None)
+    # The parts after the hover do not affect the flight before it.
     if holding is not None:
         place = left[holding]
         at = believed.nominal_times[2 * (k + holding)]

@@ -1,37 +1,12 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-During a simulated flight, the optimal control problem of the rest of the mission is solved again at
-constant intervals, for least energy. The solution is a new plan, called a re-plan. A controller
-with adaptation follows the newest plan. Until the first re-plan, it follows the plan made before
-take-off.
+At constant intervals during a simulated flight, the optimal control problem of the rest of the
+mission is solved again. The solution is a new plan, called a re-plan. It begins at the time at
+which its solve is expected to end. A controller with adaptation follows the newest plan, at first
+the plan made before take-off. If a solve fails, the controller keeps following the previous plan.
 
-During a solve the vehicle flies on along its present plan. A re-plan therefore begins at the time
-at which its solve is to be finished. Its initial state is predicted for this time. If the vehicle
-is near its present plan, the prediction is the planned state, because the controller corrects the
-small deviation. Otherwise the prediction is moved towards the actual state, until the controller
-can correct the remaining deviation (tube-based predictive control). The initial guess of each solve
-is the previous re-plan (see `flight.remaining`).
-
-The limits of a re-plan are soft: they may be violated at a penalty. A solution therefore exists for
-every state from which rotors and battery can reach the goal. If a solve fails nevertheless, the
-vehicle follows its previous plan.
-
-A failed solve is repeated at once if the vehicle has used up its margin to a limit. The margin is
-the amount by which the limit was tightened for the plan. To use it up, the vehicle must deviate
-from its plan towards the limit by more than the margin. The second solve may take many more
-iterations, although the new plan may then be late.
-
-No re-plan begins in the last seconds before the goal, a waypoint or a hover. A plan that must
-arrive exactly within seconds would spend much energy to counteract every gust. In a hover at a
-waypoint, the vehicle follows the last re-plan for one second, or for half of the hover if that is
-less. Then it follows the plan made before take-off, until the next re-plan. Waypoints are passed at
-the times that the mission gives.
-
-The wind may differ from the forecast, and the mass from the assumed mass. The difference causes an
-acceleration that the equations of motion do not explain. The adaptation law of the controller
-estimates this acceleration from the flight. A re-plan treats the vertical part of the estimate as a
-changed mass, even if an updraft causes it. It treats the horizontal part as an additional
-acceleration by the wind. Re-plans that use the forecast alone ignore the estimate.
+The limits of a re-plan are soft, so that a solution exists from every state from which rotors and
+battery can reach the goal. See docs/theory/soft_limits.md.
 """
 
 from collections.abc import Callable
@@ -96,9 +71,7 @@ _TOLERANCE = 1e-6
 def replanned_name(knowledge: Knowledge) -> str:
     """Return the name of a flight with re-planning, such as "mpc/told".
 
-    In a flight with re-planning, the plan is replaced repeatedly by a new plan. `knowledge` is the
-    wind that the new plans assume. It is the actual wind ("told"), the forecast corrected by an
-    estimate, or the forecast alone.
+    `knowledge` is the wind that the new plans assume.
     """
     return f"mpc/{knowledge.value}"
 
@@ -107,9 +80,8 @@ def replanned_name(knowledge: Knowledge) -> str:
 class _Leg:
     """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
 
-    `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is the
-    part of the estimated acceleration that the plan leaves out, along the world axes [m/s^2].
-    `last` has the controller's states at the start of the part (None at take-off).
+    `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is an
+    estimated acceleration along the world axes.
     """
 
     course: Course
@@ -154,11 +126,8 @@ class _Observer:
     def belief(self, flown: Flown) -> Belief:
         """Return a mass and a horizontal acceleration by the air, for the next plan.
 
-        Both are computed from the estimate of the unexplained acceleration. The mass is changed so
-        that it explains the vertical part: the same thrust accelerates a lighter vehicle more. The
-        changed mass also changes the acceleration by the horizontal part of the thrust. The air is
-        taken to cause the rest of the horizontal acceleration. `flown` is the last simulated part
-        of the flight; the thrust at its end is used.
+        Both follow from `estimate` and from the thrust at the end of `flown`. This is the last
+        simulated part of the flight. See docs/theory/soft_limits.md, eq. (4).
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -285,6 +254,7 @@ class _ReplannedFlight:
         for rest in self._replanner.remainders:
             if hovering_at <= rest.begin:
                 self._advance(hovering_at)
+                # During the rest of a hover, the vehicle follows the plan made before take-off.
                 self._course = self._first
             hovering_at = rest.end
             measured_at = max(measured_at, rest.begin)
@@ -297,10 +267,8 @@ class _ReplannedFlight:
     def _replan(self, measured_at: float) -> float:
         """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
-        The flight is simulated along the present plan until the new plan takes over. If the solve
-        fails, the vehicle continues with the present plan. `measured_at` is the time of the
-        measurement [s]. The result is the time at which the new plan takes over [s]: the end of the
-        planned solve time, or later if the computer aboard needs longer.
+        `measured_at` is the time of the measurement [s]. The result is the time [s] at which the
+        new plan takes over.
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -315,6 +283,8 @@ class _ReplannedFlight:
         began = process_time()
         solution = self._solved(meant_for, state, belief)
         if solution is None and self._replanner.is_off(self._course, measured_at, measured):
+            # The second solve may take many more iterations, although the new plan may then be
+            # late.
             solution = self._solved(meant_for, state, belief, is_patient=True)
         solve_s = process_time() - began
         aboard = self._computer(solve_s)
@@ -338,9 +308,8 @@ class _ReplannedFlight:
     ) -> Solution | None:
         """Solve the remaining mission from a state at time t [s]; None if the solve fails.
 
-        `state` is the initial state of the plan, shape (n_states,). `belief` has the estimates of
-        mass and wind that the plan assumes. `is_patient` allows the solve as many iterations as
-        before take-off.
+        `belief` has the mass and wind that the plan assumes. `is_patient` allows as many iterations
+        as before take-off.
         """
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
@@ -374,21 +343,16 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part of the flight again with a second integrator, for verification.
 
-        A part begins with a new plan. Both simulations of a part start from the same state and
-        follow the same plan.
-
-        A second simulation of the whole flight would be no verification, because it soon deviates
-        from the recorded flight:
-        - If it makes its own plans, they differ, because a plan depends on the measured state down
-          to its rounding errors.
-        - If it follows the recorded plans, its deviations grow: these plans were made from the
-          states of the recorded flight, and do not correct them.
+        A part begins with a new plan. Both simulations of a part start from the same state.
 
         Returns
         -------
         list of (Flown, Flown)
             First and second simulation of each part.
         """
+        # A second simulation of the whole flight soon deviates from the first. Plans of its own
+        # differ, because a plan depends on the measured state down to its rounding errors. The
+        # recorded plans do not correct its deviations.
         again = self._aircraft.fly
         return [
             (part, again(leg, part.states[0], Integrator.MULTISTEP).flown)
@@ -415,12 +379,7 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    During the flight, the optimal control problem of the rest of the mission is solved again at
-    constant intervals. Each solution is a new plan, called a re-plan, which the vehicle then
-    follows.
-
-    The flight is verified in parts. A part lasts from one new plan to the next. It is simulated a
-    second time, from the same state, along the same plan, with another integrator. Both simulations
+    Each part along one plan is simulated a second time with another integrator. Both simulations
     must end at the same place and spend the same energy.
 
     Parameters

@@ -1,12 +1,10 @@
 """Airspeed and battery currents of a vehicle's steady return flight.
 
-A mission may reserve battery charge for a return to the start or to a rally point. The airspeed and
-the battery currents of the return determine this reserve. The airspeed minimises the charge per
-metre over the ground, against the wind at the start of the mission. The current at this airspeed is
-evaluated at the lowest state of charge that the return may reach, where the voltage is lowest and
-the current greatest. Over terrain the return begins with a climb. The current of the climb is the
-greater of two values: that of a vertical climb in still air, and that of a climb at the airspeed of
-the return.
+A mission may reserve battery charge for a return to the start or to a rally point. The airspeed of
+the return minimises the charge per metre over the ground, against the wind at the start of the
+mission. The current is evaluated at the lowest state of charge that the return may reach, where the
+voltage is lowest and the current greatest. Over terrain the return begins with a climb. See
+docs/theory/homing.md.
 """
 
 from typing import TYPE_CHECKING
@@ -33,8 +31,7 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and battery currents of the return flight filled in.
 
     Values that the scenario gives are kept. The current of the climb is filled in only over
-    terrain. The scenario is returned unchanged if it gives all values, or if it reserves no charge
-    for a return. `problems` compiles the vehicle's equations, from which the values are computed.
+    terrain.
 
     Raises
     ------
@@ -87,10 +84,8 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
 def climb_current(scenario: Scenario, steady: SteadyFlight, airspeed: float) -> float:
     """Return the battery current [A] of the return flight's climb at the lowest charge allowed.
 
-    The result is the greater of the currents at zero airspeed and at `airspeed` [m/s]. With
-    increasing airspeed, the power of a climb first falls and then rises. At any airspeed in
-    between, the current is therefore at most the result. `scenario` gives the lowest charge and the
-    rate of climb. `steady` computes the flight.
+    It is the greater of the currents at zero airspeed and at `airspeed` [m/s]; see
+    docs/theory/homing.md, eq. (10).
 
     Raises
     ------

@@ -27,17 +27,16 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    The value that the scenario states is returned. If the scenario states none, the result depends
-    on the mission:
-
-    - Fixed duration: 1. Any risk is allowed, and the plan needs no margins.
-    - Free duration: one per cent (`_USUAL_RISK`). Without margins, such a plan uses the full thrust
-      of the rotors, so that no controller can follow it.
-    - Free duration with the simplified attitude equations of the paper (Yacef et al.): 1.
+    If the scenario states no risk and its duration is free, the result is `_USUAL_RISK`. If the
+    duration is fixed, it is 1 (any risk). It is also 1 for the simplified attitude equations of
+    Yacef et al.
     """
     stated = scenario.mission.risk
     if stated is not None:
         return stated
+    # Without margins, a plan of free duration uses the full thrust of the rotors, so that no
+    # controller can follow it. With the simplified attitude equations of the paper (Yacef et al.),
+    # any risk is allowed.
     is_of_paper = scenario.vehicle.attitude is Attitude.PAPER
     return _USUAL_RISK if scenario.mission.is_free and not is_of_paper else 1.0
 
@@ -107,9 +106,7 @@ def _with_faster_gains(plan: Plan) -> Plan:
 def _for_faster_gains(plan: Plan) -> Plan:
     """Return a plan with a record of the faster controller gains for which it was made.
 
-    `plan` was made for the gains `FASTER_GAINS`. The record is the attribute `risk.gains` of the
-    result: name of each gain that differs from the default -> its value. If the attribute `risk` of
-    `plan` is None, `plan` is returned unchanged.
+    The record `risk.gains` maps each gain that differs from the default to its value.
     """
     if plan.risk is None:
         return plan

@@ -1,12 +1,14 @@
 """Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
-A leg leads from one waypoint of the mission to the next. A journey is a sequence of routes, one for
-each leg. The best journey is found in these steps:
-- The cost of each journey is estimated from steady flight along it. Journeys whose estimate is much
-  higher than the least are left out.
-- The mission is solved along each of the other journeys, on the same coarse mesh.
+A journey is a sequence of routes, one for each leg from one waypoint to the next. The best journey
+is found in these steps:
+
+- Journeys whose estimated cost in steady flight is much higher than the least are left out.
+- The mission is solved along the other journeys, on one coarse mesh.
 - The best of these solutions are solved again on a finer mesh.
 - The best of the finer solutions are refined to the tolerance of the mission.
+
+See docs/theory/routes.md.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -132,9 +134,8 @@ class RouteFlights:
     def compared(self, journeys: Sequence[Journey]) -> tuple[Solution, tuple[TriedRoute, ...]]:
         """Solve the mission along given journeys on one mesh, and refine the best solutions.
 
-        A journey is a sequence of routes, one for each leg from one waypoint to the next. Two
-        journeys may lead to the same solution. For example, solves that start over and beside a
-        sphere may end in the same flight. The later of two such journeys is left out.
+        A journey is a sequence of routes, one for each leg. If two journeys lead to the same
+        solution, the later one is left out.
 
         Returns
         -------
@@ -145,6 +146,7 @@ class RouteFlights:
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey, solution in self._each_flown(journeys):
+            # Solves that start over and beside a sphere, for example, may end in the same flight.
             if not any(_is_same(solution, other) for _, other in flown):
                 flown.append((journey, solution))
         known = dict(enumerate(solution for _, solution in flown))
@@ -171,11 +173,8 @@ class RouteFlights:
     def _each_flown(self, journeys: Sequence[Journey]) -> Iterator[tuple[Journey, Solution]]:
         """Solve along the given journeys, one after the other or on several cores.
 
-        A journey is left out if it passes all zones that a known solution touches on the same sides
-        as this solution. The journey is then expected to cost at least as much (see
-        `sides_touched`). The first journey is solved alone, because its solution usually rules out
-        others. Then as many journeys are solved at once as there are cores. The results do not
-        depend on the number of cores.
+        A journey that a known solution dominates is left out (see `sides_touched`). The results do
+        not depend on the number of cores.
 
         Parameters
         ----------
@@ -234,22 +233,20 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys to solve again on a finer mesh: `most` or 1.
+        """Return the largest number of journeys to solve again on a finer mesh.
 
-        `error` is the relative error of the energies on the present mesh. If it is greater than the
-        energy tolerance of the mission, journeys of similar energy cannot be ranked yet, and the
-        result is `most`. Otherwise the cheapest journey is already known to within the tolerance,
-        and the result is 1.
+        `error` is the relative error of the energies on the present mesh. If it is within the
+        energy tolerance of the mission, the result is 1, otherwise `most`.
         """
+        # With an error above the energy tolerance, journeys of similar energy cannot be ranked yet.
+        # Otherwise the cheapest journey is already known to within the tolerance.
         return 1 if error <= self._tolerance else most
 
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        A journey is a route for each leg of the mission. `known` maps the number of each journey to
-        its coarse solution. `near` has the numbers of the best journeys. If the refinement fails
-        for all of these, the other solutions are refined, the cheapest first, until one refinement
-        succeeds.
+        `known` maps numbers of journeys to coarse solutions. `near` has the numbers of the best
+        ones. If all their refinements fail, the other solutions are refined in order of cost.
         """
         solves = [partial(self.refine, known[k], None) for k in near]
         refined = dict(zip(near, solve_side_by_side(self._mission, solves), strict=True))
@@ -272,23 +269,17 @@ class RouteFlights:
     def as_flown(self, journey: Journey, solution: Solution) -> Journey:
         """Return a journey with the sides on which its solution really passes the zones.
 
-        A journey is a route for each leg of the mission, from one waypoint to the next. The solve
-        may move the path of its initial guess to another side of a keep-out zone. If the solve
-        failed, the journey is returned unchanged.
+        A journey is a route for each leg of the mission. If the solve failed, the journey is
+        returned unchanged.
         """
         is_flown = solution.status.is_solved
         return journey_as_flown(self._scenario, journey, solution) if is_flown else journey
 
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
-        """Return the candidate journeys along which the mission is solved.
+        """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
-        The shortest journey comes first. If `most` is a number, only the `most` shortest journeys
-        are considered. Journeys of high estimated cost are left out, except at the highest
-        accuracy, `proof`.
-
-        The result is different in a wind field if `most` is None. It then has the journeys of least
-        energy in steady flight through the wind, the cheapest first, followed by the shortest
-        journey.
+        As a rule, the shortest journey comes first. If the wind is a field and `most` is None, it
+        comes last, after the cheapest journeys through the field.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
@@ -302,17 +293,13 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The returned function takes the unit vector of the direction, shape (3,). It returns (power
-        + price of time) / ground speed. The price of time [W] is the weight of a free duration in
-        the objective. The function returns infinity if the vehicle has no steady flight in this
-        direction.
-
-        The ground speed is the same for all directions. If the duration is free, the ground speed
-        is the speed of least cost. Otherwise it is the length of `shortest` divided by the
-        duration. `shortest` is the shortest journey: a sequence of routes, one for each leg.
+        The function takes the unit vector of the direction, shape (3,). It returns infinity if
+        there is no steady flight.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
+        # The ground speed is the same for all directions. It is the speed of least cost if the
+        # duration is free, and otherwise follows from the duration.
         speed = length_of(shortest) / told.nominal_duration
         if mission.is_free:
             way = shortest[0].places[-1] - shortest[0].places[0]
@@ -323,6 +310,7 @@ class RouteFlights:
 
         def cost(course: FloatArray) -> float:
             try:
+                # The price of time [W] is the weight of a free duration in the objective.
                 return (steady.trim(speed * course).power_W + mission.price_of_time) / speed
             except SolveError:
                 return inf
@@ -332,13 +320,8 @@ class RouteFlights:
     def _fly_first(self, journey: Journey, *, is_alone: bool) -> Solution:
         """Return the solution along the first of several journeys.
 
-        If the solution is known already, it is returned. Otherwise the method `fly` solves the
-        mission.
-
-        If the journey may have several optima, the guess is the flight that `smooth_guess` returns.
-        If there is no other journey (`is_alone`), the mission is also solved from constant speed
-        along the lines of the journey, and the better solution is returned. A mission with several
-        optima thus has at least two different guesses.
+        If the journey may have several optima, it is solved from `smooth_guess`. If it `is_alone`
+        (the only journey), it is also solved from a flight at constant speed along its lines.
         """
         if self._known is not None:
             return self._known
@@ -347,6 +330,7 @@ class RouteFlights:
             return self.fly(journey)
         solves = [partial(self.fly, journey, smooth)]
         if is_alone:
+            # A mission with several optima thus has at least two different guesses.
             solves.append(partial(self.fly, journey))
         solved = solve_side_by_side(self._mission, solves)
         return min(solved, key=lambda s: (s.status.has_failed, _cost(s)))
@@ -364,10 +348,8 @@ class RouteFlights:
     ) -> Solution:
         """Solve the mission on one mesh from an initial guess along a journey.
 
-        If the solve fails, an easier mission is solved, in which the vehicle passes exactly through
-        the waypoints. The solve is then repeated from the solution of the easier mission. After one
-        such failure, the easier mission is solved first for all further journeys, because their
-        solves are expected to fail, too.
+        If the solve fails, it is repeated from the solution of an easier mission, in which the
+        vehicle passes exactly through the waypoints.
 
         Parameters
         ----------
@@ -399,23 +381,23 @@ class RouteFlights:
         is_new = rough.status.has_failed and not self._is_plain
         if not is_new or mission.past_waypoints is None:
             return rough
+        # The solves along all further journeys are expected to fail, too, and begin with the easier
+        # mission.
         self._is_plain = True
         return self.fly(journey)
 
     def _improve(self, known: dict[int, Solution], journey: Journey) -> None:
-        """Replace the best solution by a better local optimum, if there is one (see `_faster`).
+        """Replace the best solution by a better local optimum, if solves from new guesses find one.
 
-        One solve from the best solution, flown in less time, shows whether there are many optima.
-        If it saves nothing, there is no further solve. Otherwise the search goes on from the new
-        solution, and from one more solution, whose guess follows the lines of a journey. These
-        solves have Ipopt's own barrier parameter, with which iterates move farther from the guess.
+        One guess is a faster flight along the best solution. If its solve saves energy, `journey`
+        is solved anew, and `_faster` improves both results. See docs/theory/routes.md.
 
         Parameters
         ----------
         known : dict
             Number of a journey -> its solution. The dict is changed in place.
         journey : tuple of Route
-            The first of the journeys.
+            The first of the journeys, whose lines are the second guess.
         """
         first, options = _cheapest(known)[0], self._rough_options()
         if known[first].status.has_failed:
@@ -423,20 +405,15 @@ class RouteFlights:
         found = self.fly_again(known[first], _PROBE, options.from_a_flight())
         if not _saves(found, known[first]):
             return
+        # With Ipopt's own barrier parameter, iterates move farther from the guess.
         others = self.fly(journey, options=options)
         known[first] = min(self._faster(found), self._faster(others), key=_cost)
 
     def _faster(self, flown: Solution) -> Solution:
-        """Solve again from faster flights along a solution, until the cost falls no more.
+        """Solve again from faster flights along the best solution, until the cost falls no more.
 
-        `flown` is the best solution so far, on the mesh on which journeys are compared. The result
-        is a solution on the same mesh that costs no more than `flown`.
-
-        On a coarse mesh, a flight of free duration past the corners of zones has many local optima.
-        In each of them, other collocation points are nearest to the corners, and the duration
-        differs. Each solve starts from the path of the best solution, flown in less time, and may
-        end in another local optimum. If the new solution costs less, it becomes the best solution,
-        and the solves are repeated from it.
+        Each initial guess is the path of the best solution so far, flown in a shorter time. `flown`
+        is the first of these solutions. The result costs no more. See docs/theory/routes.md.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
@@ -484,12 +461,10 @@ class RouteFlights:
     def _fly_beside(self, journey: Journey) -> Solution:
         """Solve along one of several journeys, without effect on the solves along the others.
 
-        The method `fly` solves the mission. If the solve fails, `fly` repeats it from the solution
-        of an easier mission (waypoints passed exactly), and sets a flag. With the flag set, `fly`
-        solves the easier mission first for every later journey. This method restores the flag after
-        the solve, so that solves along other journeys are independent of this one. `journey` is a
-        route for each leg of the mission.
+        `journey` is a route for each leg of the mission.
         """
+        # After a failed solve, `fly` sets this flag, with which it solves an easier mission first
+        # for every later journey.
         is_plain = self._is_plain
         solution = self.fly(journey)
         self._is_plain = is_plain
@@ -638,8 +613,7 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
 def journey_as_flown(told: Scenario, journey: Journey, solution: Solution) -> Journey:
     """Return a journey with the sides on which a solution really passes the zones.
 
-    A journey is a route for each leg of the mission, from one waypoint to the next. The solve may
-    move the path of its initial guess to another side of a keep-out zone.
+    The solve may move the path of its initial guess to another side of a keep-out zone.
 
     Parameters
     ----------
@@ -677,13 +651,8 @@ _LOOKS = 8
 def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _SidesTouched:
     """Return the zones that a flight touches on each leg, and the side on which it passes each.
 
-    The result has one set of pairs (name of a zone, side) for each leg of the mission.
-
-    The caller skips every other journey that passes all touched zones on the same sides, for the
-    following reason. Only the touched zones constrain the flight: without the other zones, it would
-    still be a local optimum. Assume that it is the only local optimum that passes the touched zones
-    on these sides. Then every journey that does so costs at least as much. The assumption is
-    plausible, but not proven; see docs/theory/routes.md.
+    The result has a set of pairs (name of a zone, side) for each leg. For its use, see
+    docs/theory/routes.md, eq. (1).
 
     Parameters
     ----------
@@ -719,9 +688,8 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
     """Return whether a journey need not be solved, because a known solution is as good.
 
-    A journey is a route for each leg of the mission. `touched` has the zones that the known
-    solution touches: for each leg, a set of pairs (name of a zone, side on which it is passed). The
-    journey need not be solved if it passes all these zones on the same sides.
+    This is the case if the journey passes the zones in `touched` on the same sides. They are the
+    zones that the known solution touches.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 
@@ -739,8 +707,8 @@ _SAME_COST, _SAME_PLACE_M = 1e-6, 0.05
 def _is_same(one: Solution, other: Solution) -> bool:
     """Return whether two solutions are the same flight, within the accuracy of a coarse mesh.
 
-    `one` and `other` are solutions of the same mission on the same mesh. They are the same flight
-    if both converged, their costs agree, and their paths are at most a few centimetres apart.
+    Both are on the same mesh. Both must have converged, their costs must agree, and their paths
+    must be close.
     """
     if not (one.status.is_solved and other.status.is_solved):
         return False
@@ -754,9 +722,8 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
     """Return the numbers of the solutions whose cost is near the least, the cheapest first.
 
-    `known` maps the number of a journey (a route for each leg of the mission) to the solution along
-    it. The cost is the objective of the solve. The relative difference from the least cost is at
-    most `share`. At most `most` numbers are returned.
+    The relative difference from the least cost is at most `share`. At most `most` numbers are
+    returned.
     """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)

@@ -1,30 +1,17 @@
 """Shortest routes round keep-out zones and over terrain, and flights of an autopilot along a route.
 
 Routes belong to the same homotopy class if they pass every zone on the same side: left, right, over
-or under. A route is a path in a graph. The nodes of the graph are points round each zone in the
-way. Its edges are the straight lines between nodes that no zone blocks. Dijkstra's algorithm finds
-the shortest path, which is the shortest route of all.
+or under. A route is a shortest path in a graph of points round the zones in the way. Further routes
+are found in order of length by Murty's method [1]_.
 
-Further routes are found in order of length by Murty's method [1]_. All routes but the shortest are
-divided into disjoint sets, one set for each zone. The routes in the set of zone k pass zone k on
-another side than the shortest route, and zones 1 to k - 1 on the same sides. Dijkstra's algorithm
-finds the shortest route of each set. The shortest of these routes is the next result, and its set
-is divided in the same way.
+Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk [2]_. The
+vehicle stops at every corner and at every waypoint. The speed determines the times of a cruise; the
+times that the mission gives are ignored.
 
-Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk. Each leg
-is flown from rest to rest in the seven phases of [2]_. The jerk is j, 0, -j to reach the speed, 0
-along the leg, and -j, 0, j to stop. On a leg that is too short to reach the speed, the phase of
-constant speed is left out and the peak speed is lower. On an even shorter leg, the peak
-acceleration is lower, too.
-
-The vehicle stops at every waypoint and hovers there as prescribed. It also stops at every corner of
-the shortest clear path round keep-out zones. At the goal it hovers. The speed determines the times
-of a cruise; the times that the mission gives are ignored.
-
-.. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost",
-   Operations Research 16 (1968).
-.. [2] Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots",
-   Springer 2008, section 3.4.
+.. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost", Operations
+   Research 16 (1968).
+.. [2] Biagiotti and Melchiorri, "Trajectory Planning for Automatic Machines and Robots", Springer
+   2008, section 3.4.
 """
 
 from collections.abc import Iterator, Sequence
@@ -162,10 +149,8 @@ def find_routes(
 def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str, ...]:
     """Return the names of the keep-out zones that block every route between two places.
 
-    If the removal of a single zone can open a route, the result names every zone of this kind.
-    Otherwise it names a minimal set of zones that block every route by themselves: if there were
-    only these zones, the removal of any one of them would open a route. `airspace` has the zones.
-    `start` and `goal` are the two places [m].
+    If the removal of one zone alone can open a route, the result has all such zones. Otherwise it
+    has a minimal set of zones that together block every route.
     """
     zones = airspace.keep_out
 
@@ -176,6 +161,7 @@ def zones_that_block(airspace: Airspace, start: Place, goal: Place) -> tuple[str
     single = tuple(z.name for z in zones if has_route([kept for kept in zones if kept is not z]))
     if single:
         return single
+    # If there were only these zones, the removal of any one of them would open a route.
     needed = list(zones)
     for zone in zones:
         fewer = [kept for kept in needed if kept is not zone]
@@ -245,9 +231,8 @@ def find_journeys(airspace: Airspace, stops: Sequence[Place]) -> tuple[Journey, 
 def journeys_of(told: Scenario) -> tuple[Journey, ...]:
     """Return the shortest journeys of a mission, inside the edges of its wind field.
 
-    A journey is a sequence of routes, one for each leg from one waypoint to the next. If the
-    mission must stay in the wind field, journeys stay inside its edges (see `field_edges`). If the
-    mission has a fence, `airspace.keep_in`, they also stay inside the fence.
+    A journey is a sequence of routes, one for each leg. Journeys stay inside the fence, and inside
+    the field unless the mission may leave it.
 
     Parameters
     ----------
@@ -264,6 +249,7 @@ def journeys_of(told: Scenario) -> tuple[Journey, ...]:
     NoRouteError
         If zones, or zones and the edges of the field, block a leg; the message names the zones.
     """
+    # There are edges only if the mission must stay in the wind field.
     airspace, edges = told.airspace, field_edges(told)
     if not edges:
         return find_journeys(airspace, told.mission.positions)
@@ -305,12 +291,10 @@ class NoRouteError(Exception):
 def with_plain_passages(told: Scenario) -> Scenario | None:
     """Return an easier mission, in which waypoints are passed exactly and at any speed.
 
-    `told` is the scenario of the mission. The radius of a waypoint limits the distance at which the
-    vehicle passes it. The model limits the squares of distance and speed, so that their gradient
-    vanishes where the distance or the speed is zero. This makes a first solve difficult. The easier
-    mission has neither radii nor speed limits. The result is None if no waypoint has a radius or a
-    speed limit.
+    The result is None if no waypoint has a radius or a speed limit.
     """
+    # The model limits the squares of the distance from a waypoint and of the speed. Their gradient
+    # vanishes where the distance or the speed is zero, which makes a first solve difficult.
     at_ease = {"radius": 0.0, "speed_max": None}
     waypoints = tuple(w.model_copy(update=at_ease) for w in told.mission.waypoints)
     if waypoints == told.mission.waypoints:
@@ -376,6 +360,8 @@ class _Graph:
 
         push((every,) * len(self._zones))
         while queue:
+            # The shortest route of all sets is the next result, and its set is divided in the same
+            # way.
             _, _, nodes, allowed = heappop(queue)
             sides = self._sides_of(nodes)
             yield Route(
@@ -386,6 +372,8 @@ class _Graph:
                     if side >= 0
                 ),
             )
+            # The other routes are divided into disjoint sets, one for each zone. The routes in the
+            # set of zone k pass zone k on another side, and zones 1 to k - 1 on the same sides.
             kept = list(allowed)
             for number, side in enumerate(sides):
                 if side >= 0:
@@ -395,9 +383,8 @@ class _Graph:
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
         """Return length [m] and nodes of the shortest path that passes zones on allowed sides only.
 
-        The path leads from the start to the goal. Its nodes are given by their indices. For each
-        zone of the graph, `allowed` has the indices of the allowed members of `Side`. The result is
-        None if there is no such path.
+        For each zone, `allowed` has the indices of allowed members of `Side`. The result is None if
+        there is no path.
         """
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
@@ -416,8 +403,7 @@ class _Graph:
     def _sides_of(self, nodes: list[int]) -> list[int]:
         """Return the side on which a path passes each zone of the graph, as an index into `Side`.
 
-        `nodes` has the indices of the path's nodes. The result has one entry for each zone. The
-        entry is -1 if the path does not pass the zone.
+        The entry is -1 if the path does not pass the zone.
         """
         number = {pair: k for k, pair in enumerate(zip(self._first, self._last, strict=True))}
         lines = [number[min(pair), max(pair)] for pair in pairwise(nodes)]
@@ -467,9 +453,8 @@ _INSTANT = 1e-9
 class SpeedProfile(NamedTuple):
     """Samples of a motion from rest to rest along a straight line, in phases of constant jerk.
 
-    The motion has seven phases. The 8 samples are taken at its start and at the end of each phase.
-    All fields have the shape (8,): the times [s], the distances from the start [m], the speeds
-    [m/s] and the accelerations along the line [m/s^2].
+    The 8 samples are taken at the start and at the end of each of seven phases. All fields have the
+    shape (8,).
     """
 
     times: FloatArray
@@ -498,6 +483,8 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
         Samples at the start and at the end of each of the seven phases. Some phases may have zero
         duration.
     """
+    # On a leg that is too short to reach the speed, the phase of constant speed has no duration. On
+    # an even shorter leg, the peak acceleration is lower, too.
     peak = min(speed, _peak_speed(distance, acceleration, jerk))
     bending = min(acceleration / jerk, sqrt(peak / jerk))
     straight = max(peak / (jerk * bending) - bending, 0.0)
@@ -606,8 +593,7 @@ def cruise(scenario: Scenario) -> SampledPath:
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
     """Return the straight lines of an autopilot's cruise, for each leg of the mission.
 
-    Cruise is flight along straight lines at one speed. A leg leads from one waypoint to the next.
-    If it leads round zones, it has several lines, and the vehicle stops between them.
+    A leg round zones has several lines, and the vehicle stops between them.
 
     Returns
     -------
@@ -642,9 +628,8 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
-    Cruise is the flight of an autopilot along straight lines at one speed. The legs of the mission
-    may be too short to reach the speed and acceleration that the scenario sets. The returned
-    settings have lower values in this case, the same jerk, and result in the same flight.
+    The legs of the mission may be too short for the settings of the scenario. The returned settings
+    result in the same flight.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(

@@ -41,8 +41,7 @@ class Stage(StrEnum):
     """Stage of a search for a plan, as a progress display shows it.
 
     The stages are the comparison of routes round zones, the first solves on coarse meshes, the
-    search for a usable plan, and the refinement of the mesh to the requested accuracy. A usable
-    plan is a plan that simulation confirms at lower accuracy than requested.
+    search for a usable plan, and the refinement of the mesh to the requested accuracy.
     """
 
     ROUTES = "routes"
@@ -85,11 +84,8 @@ class State:
 class Search:
     """State of one search for a plan, from its first solve to its result.
 
-    A search consists of many solves, on several meshes and from several initial guesses. One object
-    of this class is the progress callback of all solves. Ipopt calls it at each iteration, and
-    stops if the search has used up its time. The object also keeps the best usable plan: a plan
-    that simulation confirms at lower accuracy than requested. A search that is stopped returns this
-    plan.
+    One object is the progress callback of all solves. Ipopt calls it at each iteration, and stops
+    if the search has used up its time. A search that is stopped returns the best usable plan.
 
     Parameters
     ----------
@@ -142,36 +138,30 @@ class Search:
 
     @property
     def is_early(self) -> bool:
-        """Whether the search is in its first two seconds or so, too early for usable plans.
+        """Whether the search has run for less than about two seconds, too short for usable plans.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
-        needed only if the search is stopped. Making one takes time, and most searches end soon and
-        by themselves.
-
-        Callers use the property only at the highest accuracy, `proof`.
+        Callers use the property only if the requested accuracy is the highest, `proof`.
         """
+        # A usable plan is needed only if the search is stopped. Making one takes time, and most
+        # searches end soon and by themselves.
         return self.work - self._patient_from < _PATIENCE
 
     def begin_with(self, make_first: Callable[[], Plan | None]) -> None:
         """Set the function that makes the first usable plan, if the search takes long.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
-        result of a search that is stopped. The function `make_first` returns a plan that was
-        simulated, or None. It is called between two iterations of Ipopt, at most once: after
-        somewhat more than a second, if the search has no usable plan by then. Many searches end
-        earlier.
+        `make_first` returns a simulated plan or None. It is called at most once, after somewhat
+        more than a second without a usable plan.
         """
         self._make_first = make_first
 
     def begin_apart(self, spent_s: float) -> None:
-        """Prepare the copy of this object in a forked process for its part of the solves.
+        """Prepare this object for solves in a forked process, where it is a copy.
 
-        The forked process calls this method before its solves. The object then shows no progress,
-        and ignores the function set by `begin_with`. `spent_s` is the processor time of the search
-        before the fork [s]. It is added to the time of the forked process, whose clock starts at
-        zero.
+        The copy shows no progress and makes no first plan. `spent_s` is the processor time of the
+        search before the fork [s].
         """
         self._make_first = self._show = None
+        # The clock of a forked process starts at zero.
         self._began = time.thread_time() - spent_s
 
     def is_stopped(self) -> bool:
@@ -185,9 +175,7 @@ class Search:
     def _begin(self) -> None:
         """Make the first plan of the search, and store it if it is usable.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. The
-        function set by `begin_with` makes the plan, and is called only once. Nothing is done if no
-        function was set, or if the search has a usable plan already.
+        The function set by `begin_with` is called only once, and only if there is no usable plan.
         """
         make, self._make_first = self._make_first, None
         if make is None or self.usable is not None:
@@ -201,9 +189,8 @@ class Search:
     def restart_patience(self) -> None:
         """Make the property `is_early` true again for about two seconds of solves.
 
-        While it is true, a search at the accuracy `proof` makes no usable plans (plans that
-        simulation confirms at lower accuracy than requested). This method is called when the order
-        of the waypoints has been chosen, before the whole mission is solved in this order.
+        It is called when the order of the waypoints has been chosen, before the whole mission is
+        solved.
         """
         self._patient_from = self.work
 
@@ -218,9 +205,8 @@ class Search:
     def __call__(self, iteration: Iteration) -> bool:
         """Record an iteration of Ipopt, and return whether Ipopt may continue.
 
-        Ipopt calls this method at each iteration. The result is False if the search is stopped or
-        has exceeded its time limit. It is also False if the solves have cost more than the limit
-        set by `begin_effort`.
+        It may not if the search is stopped, is beyond its time limit, or has cost more than the
+        limit set by `begin_effort`.
         """
         self._last = iteration
         self.work += iteration.mesh_points
@@ -249,10 +235,8 @@ class Search:
     ) -> None:
         """Try to make a usable plan from the solution on a mesh that has just been solved.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is the
-        result of a search that is stopped. The mesh refinement calls this method after the solve on
-        each mesh. No usable plan is made after the time limit, or if simulations have already taken
-        too large a share of the search.
+        No plan is made after the time limit, or if simulations have taken too large a share of the
+        search.
 
         Parameters
         ----------
@@ -294,10 +278,8 @@ class Search:
     def keep(self, plan: Plan) -> None:
         """Store a plan as the best usable plan if it is usable and better than the stored plan.
 
-        A usable plan is a plan that simulation confirms at lower accuracy than requested. It is
-        made from a solution of the optimal control problem, or from a smooth path along a route. Of
-        two plans made from solutions, the better one has the smaller uncertainty of the energy. In
-        all other cases, the better plan has the lower cost.
+        If both plans come from solutions of the optimal control problem, the better plan has the
+        smaller uncertainty of the energy. Otherwise it has the lower cost.
         """
         found, kept = as_usable(plan), self.usable
         if not found.is_flyable:
@@ -311,12 +293,10 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the result of the search: its last plan or, if that fails, the best usable plan.
+        """Return the result of the search: its last plan or, if that failed, the best usable plan.
 
-        `plan` is the last plan. It is the result if simulation confirms it, at the requested or at
-        lower accuracy, or if its status says that the mission is infeasible. Otherwise the result
-        is the best usable plan, or `plan` if the search has none. A usable plan is a plan that
-        simulation confirms at lower accuracy than requested.
+        `plan` is the last plan. It failed if it is not flyable, unless its status is "infeasible".
+        If there is no usable plan, the result is `plan` in any case.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -338,13 +318,10 @@ class Search:
         )
 
     def _given_up(self, plan: Plan) -> Plan:
-        """Return the last plan with status "not converged" if the search ran out of time.
+        """Return the last plan, marked as "not converged" if the search ran out of time.
 
-        `plan` is the last plan of the search. The message of the returned plan states how far the
-        search came. `plan` is returned unchanged in each of these cases:
-        - There was time left.
-        - Simulation confirms the plan.
-        - The mission was found infeasible.
+        The message of a marked plan states how far the search came. If `plan` is flyable or its
+        mission infeasible, it is returned unchanged.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan
@@ -363,16 +340,10 @@ def _is_optimised(plan: Plan | None) -> bool:
 
 
 def as_usable(plan: Plan) -> Plan:
-    """Return a plan as usable if simulation confirms it at lower accuracy than requested.
+    """Return a plan, marked as usable if simulation confirms it at lower accuracy than requested.
 
-    The result has the status `USABLE` if all of these hold:
-    - Simulation has not confirmed the plan already, and its status is not infeasible.
-    - Its simulated flight is within the fixed tolerances of a usable plan,
-      `scenario.accuracy.USABLE`.
-    - The energy that a better plan may save is estimated (`Plan.energy_uncertainty` is finite).
-
-    The message of the result then states how closely the simulated flight agrees with the plan.
-    Otherwise the plan is returned unchanged.
+    The simulated flight must be within `scenario.accuracy.USABLE`, and `Plan.energy_uncertainty`
+    must be finite. A plan that is flyable already, or infeasible, is returned unchanged.
     """
     if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
         return plan

@@ -1,10 +1,9 @@
 """Smooth path along a route at prescribed speeds, without an optimisation.
 
 A route consists of straight lines. A point moves along these lines with bounded acceleration, and
-slowly past corners. At each corner, the direction of its velocity jumps. The smooth path is a
-moving average of this motion: the weighted mean of the point's positions over a short span of time.
-Velocity, acceleration and jerk of the path are continuous. Its greatest speed is at most that of
-the point.
+slowly past corners. The smooth path is a moving average of this motion: the weighted mean of the
+point's positions over a short span of time. Velocity, acceleration and jerk of the path are
+continuous.
 
 A moving average cuts corners. The corners of the lines are therefore moved outwards, until the path
 passes through the original corners. Derivation and sources: docs/theory/geometric_plan.md, eqs. (1)
@@ -122,10 +121,9 @@ class SmoothPath:
 class _Motion:
     """Motion along the straight lines of a route, in phases of constant acceleration.
 
-    The smooth path is the moving average of this motion. `times` [s] has the n borders of the
-    phases, shape (n,). `distances` travelled from the start [m] and `speeds` [m/s] have the values
-    at these times. For each corner of the route, `passings` has the times at which the smooth path
-    reaches and leaves the corner [s].
+    `times` [s], `distances` [m] and `speeds` [m/s] have the values at the n borders of the phases,
+    shape (n,). `passings` has the times at which the smooth path reaches and leaves each corner
+    [s].
     """
 
     times: FloatArray
@@ -209,15 +207,8 @@ def _pace_for(
 def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> FloatArray:
     """Return the speed of a motion along straight lines at each of n corners [m/s], shape (n,).
 
-    The first corner is the start and the last is the goal. The speed is zero at the start, at the
-    goal and at hovers. Elsewhere it is the greatest speed that keeps these limits:
-    - the speed limits of `stops` and `pace`;
-    - the acceleration along the lines;
-    - the acceleration at the corners of the smooth path, which is the moving average of the motion.
-
-    `stops` has the hover and the greatest speed at each corner. `steps` has the displacement from
-    each corner to the next, shape (n - 1, 3) [m]. Implements docs/theory/geometric_plan.md, eqs.
-    (1) and (2).
+    `steps` has the displacements between corners, shape (n - 1, 3) [m]. Implements
+    docs/theory/geometric_plan.md, eqs. (1) and (2).
     """
     lengths = np.linalg.norm(steps, axis=1)
     courses = steps / np.maximum(lengths, _SAME_M)[:, None]
@@ -238,17 +229,7 @@ def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> Floa
 def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
     """Return the motion along straight lines from corner to corner, with bounded acceleration.
 
-    The smooth path is a moving average of this motion over a time span. So that the path rests when
-    it must, the motion rests for longer:
-    - at the start: half of the span;
-    - at a hover: the duration of the hover, the span and a settling time;
-    - at the goal: half of the span and a settling time.
-
-    During the settling time, deviations of a simulated flight vanish.
-
-    `stops` has the corners of the route with the hovers and speeds that the mission requires.
-    `corners` has the positions of these corners after they were moved outwards, shape (n, 3) [m].
-    `pace` has the greatest speed and accelerations.
+    `corners` has the positions of the corners after they were moved outwards, shape (n, 3) [m].
     """
     steps = np.diff(corners, axis=0)
     lengths = np.linalg.norm(steps, axis=1).tolist()
@@ -263,6 +244,8 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
             rows.append((t + lasting, s + 0.5 * lasting * (v + speed_after), speed_after))
 
     add(0.5 * _SPAN_S, 0.0)
+    # The motion rests for half of the span of the moving averages longer at the start and at the
+    # goal, and for the whole span longer at a hover. The path then rests when it must.
     passings.append((0.0, 0.5 * _SPAN_S))
     for k, stop in enumerate(stops[1:]):
         first, last, length = at_corners[k], at_corners[k + 1], lengths[k]
@@ -289,9 +272,7 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
     """Return the smooth path: the moving average over time of a motion along straight lines.
 
-    `motion` is the motion. `corners` has the ends of the straight lines, shape (n, 3) [m].
-    `lasting` is the duration of the path [s], or None for the duration of the motion. If the motion
-    ends earlier, the path rests at the last corner until its own end. Implements
+    `lasting` is the duration of the path [s]; None for that of the motion. Implements
     docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
@@ -301,6 +282,7 @@ def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> Sm
     times = np.linspace(0.0, end, count)
     travelled = CubicHermiteSpline(motion.times, motion.distances, motion.speeds)
     total = float(motion.distances[-1])
+    # After the end of the motion, the path rests at the last corner.
     shares = travelled(np.minimum(times, motion.times[-1])) / max(total, _SAME_M)
     places = Route(places=corners, sides=()).places_at(np.clip(shares, 0.0, 1.0))
     step = float(times[1])

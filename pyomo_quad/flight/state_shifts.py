@@ -2,12 +2,11 @@
 
 Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
 A simulated vehicle that follows the solution under feedback may then exceed the limit, too. For the
-next simulation, the path that the vehicle follows is shifted away from the limit. Only the limited
-states are shifted, and only while the limit is exceeded.
+next simulation, the limited states of the path are shifted away from the limit while it is
+exceeded.
 
-The feedback is a linear-quadratic regulator. During the shift, it gives deviations of the shifted
-states a greater weight. It knows the shift in advance, and begins to act before the shift begins.
-See docs/theory/tracking.md, eq. (9).
+During the shift, the regulator gives deviations of the shifted states a greater weight. It begins
+to act before the shift begins. See docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -106,9 +105,7 @@ def shifts_within_limits(
 def shifted(names: Sequence[str], times: FloatArray, shifts: Sequence[StateShift]) -> FloatArray:
     """Return the sum of given shifts of a path's states at n times, shape (n, n_states).
 
-    Each of the `shifts` changes some states by a constant during a time span. `names` has the names
-    of all states, in the order of the columns of the result. `times` has the n times [s], shape
-    (n,).
+    `names` has the names of all states, in the order of the columns. `times` has the n times [s].
     """
     changes = np.zeros((len(times), len(names)))
     for shift in shifts:
@@ -129,11 +126,8 @@ def _is_kept_by_shifts(limit: str) -> bool:
 def _slope(limit: str, names: Sequence[str], states: FloatArray) -> dict[str, float]:
     """Return the gradient of a limited quantity with respect to the states of the vehicle.
 
-    `limit` is the full name of the limit. It limits a state (roll, pitch or a rotor speed) or the
-    speed of the vehicle. `states` has the states at which the gradient is evaluated, shape
-    (n_states,), and `names` has their names. The result maps the name of each state on which the
-    quantity depends to the partial derivative. The caller shifts a path against the gradient for an
-    upper limit, and along it for a lower limit.
+    `limit` is the full name of the limit. The result maps states to their partial derivatives at
+    `states`.
     """
     if limit == _SPEED_LIMIT:
         velocity = states[[names.index(name) for name in VELOCITY_STATES]]

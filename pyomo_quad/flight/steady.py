@@ -1,8 +1,8 @@
 """Steady flight of a vehicle, computed from its compiled equations: hover, trim and battery load.
 
 In steady flight the position changes at a given velocity, and the other states are constant. The
-states and controls of a steady flight are called its trim. Every quantity is computed with the
-compiled equations, so that a user's own model is treated in the same way as the package's model.
+states and controls of a steady flight are called its trim. A user's own model is treated in the
+same way as the package's model.
 
 This module also computes the thrust that a motion requires (`MomentumDemand`), and the power of the
 rotors at a given thrust. A proven lower bound of a mission's energy uses both: see
@@ -84,9 +84,8 @@ class Trim:
 class HoverState:
     """Hover in still air with the battery in its initial state: rotor speed, power and battery.
 
-    The name of each attribute states its unit. The battery's current, voltage and charge rate are
-    those under the power of the hover. The charge rate is the charge drawn per second.
-    `greatest_battery_power_W` is the greatest power that the battery can give.
+    Battery current, voltage and charge rate are the values while the battery gives the power of the
+    hover. `greatest_battery_power_W` is the greatest power that it can give.
     """
 
     rotor_speed_rad_per_s: float
@@ -156,11 +155,8 @@ class SteadyFlight:
     def trim(self, velocity: ArrayLike = _STILL, near: Trim | None = None) -> Trim:
         """Return the steady flight at a velocity over ground.
 
-        The function solves for the controls and most states. Two kinds of states have fixed values:
-        - Position and heading have their values at the mission's start.
-        - States that measure consumption, such as the charge drawn, have their initial values. They
-          change in every flight. These are the states that the mission fixes at the start and
-          leaves free at the end.
+        Position and heading are those of the mission's start. States that measure consumption, such
+        as the charge drawn, have their initial values.
 
         Parameters
         ----------
@@ -190,6 +186,8 @@ class SteadyFlight:
         Arguments and result are those of `trim`, which keeps the results.
         """
         names, t = list(self._dynamics.state_names), self._dynamics.start
+        # States that measure consumption change in every flight. They are the states that the
+        # mission fixes at the start and leaves free at the end.
         used_up = set(self._dynamics.states_used_up)
         held = used_up | {*POSITION_STATES, _YAW}
         free = [k for k, name in enumerate(names) if name not in held]
@@ -239,11 +237,10 @@ class SteadyFlight:
         ]
 
     def held_in(self, trim: Trim) -> dict[str, float]:
-        """Return the states that are constant in a steady flight, apart from the velocity.
+        """Return the constant states of a steady flight, such as attitude and rotor speeds.
 
-        `trim` is the steady flight. The states are attitude, body rates and rotor speeds, and the
-        induced velocity if the model has it. The result maps the full name of each state to its
-        value, for an initial guess of the solver.
+        The result maps full names to values. The velocity is left out. If the model has an induced
+        velocity, it is included.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
@@ -320,11 +317,8 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        The load is that of the steady flight `trim`. `drawn` has increasing charges drawn from the
-        full battery [A h], shape (n,). Row k of the result, shape (n, n_circuit), has the values
-        after the charge `drawn[k]`. If the battery cannot give the later charges under this load,
-        the last possible row is repeated for them. There is a column for each of the two quantities
-        that the battery model has. The result is None if it has neither.
+        Row k of the result, shape (n, n_circuit), is for the charge `drawn[k]` [A h]; `drawn`
+        increases. None if the model has neither.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -338,6 +332,8 @@ class SteadyFlight:
 
         ends = float(drawn[0]), float(drawn[-1])
         found = solve_ivp(slope, ends, trim.states[own], t_eval=drawn, method="LSODA", rtol=1e-6)
+        # The battery may be unable to give the later charges under this load. The last possible row
+        # is repeated for them.
         missing = len(drawn) - found.y.shape[1]
         return np.asarray(np.pad(found.y.T, ((0, missing), (0, 0)), mode="edge"))
 
@@ -390,11 +386,10 @@ class SteadyFlight:
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
         """Return the total power [W] at equal, constant rotor speeds; it may be negative.
 
-        Without regeneration, a braking rotor returns no energy, and the method `power` replaces a
-        negative power by zero (see `model.power`). This method returns the negative power itself.
-        `speed` has rotor speeds [rad/s]; the result has the same shape.
+        The method `power` replaces a negative power by zero. `speed` has rotor speeds [rad/s].
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
+        # Without regeneration, a braking rotor returns no energy (see `model.power`).
         if not self._dynamics.has(_UNCREDITED):
             return self.power(speed)
         return np.sum([self._over_speeds(_UNCREDITED, speed, index=j) for j in rotors], axis=0)
@@ -402,13 +397,13 @@ class SteadyFlight:
     def power_of_accelerating(self, speed: ArrayLike) -> FloatArray:
         """Return the power that accelerates all rotors, divided by the acceleration [J s/rad].
 
-        All rotors turn at the speed `speed` [rad/s] and have the same acceleration [rad/s^2]. The
-        power counted is that which changes the kinetic energy of the rotors, and which they return
-        when they slow down. It is half the difference between the powers at +1 and -1 rad/s^2, so
-        that losses which are equal at both cancel. The result has the shape of `speed`.
+        This power changes the kinetic energy of the rotors. The result has the shape of `speed`
+        [rad/s].
         """
         name = _UNCREDITED if self._dynamics.has(_UNCREDITED) else "power.rotor_power"
         up, down = (self.rotor_value(name, speed, sign) for sign in (1.0, -1.0))
+        # Losses that are equal at +1 and -1 rad/s^2 cancel. What is left is the power that rotors
+        # return when they slow down.
         return len(self._rotors) * (up - down) / 2.0
 
     def power_at_thrust(self, thrust: float) -> float:
@@ -423,10 +418,8 @@ class SteadyFlight:
     def rotor_value(self, name: str, speed: ArrayLike, acceleration: ArrayLike = 0.0) -> FloatArray:
         """Return a quantity of one rotor at given speeds [rad/s] and accelerations [rad/s^2].
 
-        `name` is the name of an expression of the model, such as ``"rotors.motor_torque"``. The
-        expression is indexed by rotor and time. All rotors have the same `speed` and
-        `acceleration`, which are broadcast to a common shape. The result has the common shape and
-        the unit of the expression.
+        `name` is an expression of the model over rotors and time, such as
+        ``"rotors.motor_torque"``. `speed` and `acceleration` are broadcast.
         """
         speeds, accelerations = np.broadcast_arrays(
             np.asarray(speed, dtype=float), np.asarray(acceleration, dtype=float)
@@ -462,13 +455,13 @@ class SteadyFlight:
     def stored_energy(self, depth: float, samples: int) -> float:
         """Return the energy of discharging a full battery to a given depth, without losses [J].
 
-        The energy is the integral of the open-circuit voltage over the charge drawn. A real
-        discharge loses a part of this energy inside the battery. `depth` is the depth of discharge,
-        the fraction of the capacity that is drawn. `samples` is the number of quadrature points.
+        `depth` is the fraction of the capacity that is drawn, `samples` the number of quadrature
+        points.
         """
         states = np.tile(self._start, (samples, 1))
         column = self._dynamics.state_names.index(CHARGE_STATE)
         drawn = states[:, column] = np.linspace(0.0, depth * self.pack_capacity, samples)
+        # A real discharge loses a part of this energy inside the battery.
         voltage = self._rows((("battery.open_circuit_voltage", None),), states)[:, 0]
         hover = self.hover
         coulombs_per_ampere_hour = hover.battery_current_A / hover.charge_rate_Ah_per_s
@@ -491,9 +484,8 @@ class SteadyFlight:
     def _speed_where(self, reading: object, wanted: float) -> float:
         """Return the rotor speed [rad/s] at which an increasing quantity has a wanted value.
 
-        All rotors turn at the same speed. `reading` is a function that takes the speed and returns
-        the quantity, such as the total thrust. The quantity must increase with the speed. `wanted`
-        is the value.
+        `reading` takes the common speed of all rotors, and returns the quantity, such as the total
+        thrust.
         """
 
         def excess(speed: float) -> float:
@@ -536,13 +528,9 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    The required thrust is mass * (a - a_0). Here a is the acceleration of the motion. With the
-    rotors stopped, weight and air cause the acceleration a_0, which is computed from the compiled
-    equations. The required thrust vector does not depend on the attitude.
-
-    If the drag of the air is linear in the velocity, the required thrust along each world axis is
-    mass * acceleration + drag * velocity + standing(t). Here standing(t) is the thrust [N] that
-    weight and wind require at zero velocity at time t.
+    Whatever the attitude, the required thrust is mass * (a - a_0). Here a is the acceleration of
+    the motion, and a_0 the acceleration by weight and air alone (rotors stopped). For drag that is
+    linear in the velocity, see docs/theory/bound.md, eq. (1).
 
     Parameters
     ----------

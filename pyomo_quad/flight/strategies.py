@@ -1,13 +1,11 @@
 """Planning strategies: ways to obtain or to improve a plan, in the order in which they are tried.
 
-Examples of a strategy are a first solve, a retry of a failed solve from another initial guess, and
-the simulation that verifies a plan. Each strategy has a condition and an action. An example of a
-condition is "the last solve failed". An example of an action is "solve again from the flight of
-shortest duration".
+Examples are a first solve, a retry of a failed solve from another initial guess, and the simulation
+that verifies a plan. Each strategy has a condition and an action. An example is "the last solve
+failed" with "solve again from the flight of shortest duration".
 
-The search for a plan goes through a list of strategies once. It carries out the action of each
-strategy whose condition holds at that moment. Each action returns a text on its outcome, which the
-user reads in `Plan.attempts`.
+The search for a plan goes through a list of strategies once, and carries out each action whose
+condition holds. The action returns a text on its outcome, which the user reads in `Plan.attempts`.
 """
 
 from __future__ import annotations
@@ -30,8 +28,8 @@ Subject = TypeVar("Subject")
 class Strategy(NamedTuple, Generic[Subject]):
     """One way to obtain or to improve a plan: an action, and the condition under which to try it.
 
-    Condition and action are functions of the subject, the object that the strategies improve. An
-    example of a subject is a `Candidate`, which holds the best solution of a mission so far.
+    Both are functions of the subject, the object that the strategies improve. An example is a
+    `Candidate`, which holds the best solution of a mission so far.
 
     Attributes
     ----------
@@ -58,10 +56,8 @@ class Strategy(NamedTuple, Generic[Subject]):
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
     """Carry out the strategies whose conditions hold, one after the other, and record the outcomes.
 
-    The condition of each strategy is tested after the actions of the strategies before it. The
-    action is repeated while the condition holds, up to the strategy's number of repeats. An action
-    that came to nothing returns None. It is not repeated, and adds no line to the record of the
-    search.
+    An action is repeated while its condition holds. An action that came to nothing is neither
+    repeated nor recorded.
 
     Parameters
     ----------
@@ -133,11 +129,10 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 def _hold_pack(candidate: Candidate) -> str:
     """Plan a mission again with an upper limit on the power of the battery.
 
-    The plan in `candidate` draws more power than the battery can give. If simulation confirms the
-    new plan to the requested accuracy, the new plan replaces the old plan. Otherwise the old plan
-    is kept. A new solve that fails is final: other initial guesses are not tried. The result is the
-    status of the new solve as text, for the list of strategies that were tried.
+    The new plan replaces the old plan only if simulation verifies it. The result is the status of
+    the new solve.
     """
+    # A new solve that fails is final: other initial guesses are not tried.
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 
 

@@ -2,12 +2,10 @@
 
 A solution satisfies its limits at the collocation points. Between these points its path may cut the
 corner of a zone, or go below the floor (least height above the ground). The problem is therefore
-solved again with a limit that is stricter by the amount of the violation. The path between the
-points then just satisfies the limit of the mission.
+solved again with a limit that is stricter by the amount of the violation.
 
-A stricter limit costs energy. The energy of the plan is therefore compared with the least energy of
-the mission with its original limits. This least energy is estimated from the solution with the
-original limits and the solution with stricter limits; see docs/theory/tracking.md, eq. (10).
+A stricter limit costs energy. The energy of the plan is therefore compared with an estimate of the
+least energy within the original limits; see docs/theory/tracking.md, eq. (10).
 """
 
 from __future__ import annotations
@@ -90,9 +88,8 @@ class Mission(Protocol):
     def solve(self, numbers: dict[str, float], **chosen: Any) -> Solution:
         """Solve the mission with changed parameter values and further arguments of `Problem.solve`.
 
-        `Problem.solve` is the solver of the compiled problem. The property `arguments` has its
-        usual arguments for the mission. `chosen` holds arguments that replace the usual ones.
-        `numbers` maps the full names of parameters, changed or not, to their values in this solve.
+        `numbers` maps full names of parameters, changed or not, to values. `chosen` replaces
+        arguments of the property `arguments`.
         """
 
 
@@ -105,10 +102,7 @@ def within_limits(
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    For each new plan, the problem is solved again on one mesh. The limits that the last simulated
-    flight broke are made stricter, and the mesh is made finer at the times of the violations. If
-    the limits are too strict, the flight keeps them but costs more energy than the accuracy allows.
-    The next solve then has less strict limits and an even finer mesh.
+    Each plan is solved on a mesh that is finer at the times of the last violations.
 
     Parameters
     ----------
@@ -129,9 +123,10 @@ def within_limits(
     Plan
         Plan with the result of its simulation. The parameter values stored with the plan are those
         of the mission, without the stricter limits. The iteration ends in each of these cases:
+
         - All limits are satisfied at an acceptable cost.
         - A solve fails.
-        - A flight with less strict limits breaks limits again.
+        - The limits were made less strict to save energy, and the flight breaks limits again.
         - The violation of a limit is too large, or no parameter sets the limit.
         - The state at the start or at the goal is outside a stricter limit.
     """
@@ -151,6 +146,8 @@ def within_limits(
                 cuts.setdefault(name, violation)
                 margins[name] = margins.get(name, 0.0) + change
         elif margins and plan.error_estimate > figures.energy and figures is not USABLE:
+            # The flight keeps limits that are too strict, at more energy than the accuracy allows.
+            # The next solve has less strict limits and an even finer mesh.
             denser, has_relaxed = _DENSEST, True
             for name in margins:
                 margins[name] *= _LESS
@@ -192,17 +189,14 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    The solution `relaxed` has the limits of the mission, but its flight breaks them by the amounts
-    `cuts`. Its energy E_low is too low. The solution `strict` has limits that are stricter by the
-    amounts `margins`. Its flight keeps the limits of the mission, but its energy E_high is too
-    high. To first order, the energy changes in proportion to the change of a limit. For one limit,
-    the estimate is therefore E_high - s (E_high - E_low), with s = margin / (margin + cut). For
-    several limits, the largest s is used. Implements docs/theory/tracking.md, eq. (10).
-
-    `mission` solves the mission. `margins` and `cuts` map the full name of a parameter that sets a
-    limit to an amount in its unit.
+    `cuts` and `margins` map parameters that set limits to amounts. The flight of `relaxed` breaks
+    the limits by `cuts`; the limits of `strict` are stricter by `margins`. Implements
+    docs/theory/tracking.md, eq. (10).
     """
     low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
+    # The flight of `relaxed` breaks limits by `cuts`, so that its energy is too low. The energy of
+    # `strict`, whose limits are stricter by `margins`, is too high. For several limits, the largest
+    # share is used.
     shares = (abs(m) / max(abs(m) + abs(cuts[name]), 1e-300) for name, m in margins.items())
     return high - max(shares, default=0.0) * (high - low)
 
@@ -223,15 +217,11 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 def _helps(breach: Violation, figures: Figures) -> bool:
     """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
-    `breach` is the violation. `figures` has the tolerances that the plan must meet. A stricter
-    limit helps if the violation is small and a parameter of the model sets the limit.
-
-    Stricter limits on the rotors' speed and thrust cost more energy than any accuracy level
-    tolerates. They are tried only if `figures` has the tolerances of a usable plan (the constant
-    `scenario.accuracy.USABLE`). A usable plan is a plan that simulation confirms at lower accuracy
-    than requested.
+    The violation must be small, and a parameter of the model must set the limit.
     """
     name = breach.name.partition("[")[0]
+    # Stricter limits on rotor speed and thrust cost more energy than any accuracy level tolerates.
+    # Only the tolerances of a usable plan are wide enough.
     is_affordable = name not in _DEAR or figures is USABLE
     return name in _STRICTER and is_affordable and breach.relative <= _SLIGHT
 
@@ -274,15 +264,15 @@ def _by_parameter(
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Return parameter values with changes added, for a solve with stricter limits.
 
-    `numbers` maps full names of parameters to values. `changes` maps some of these names to amounts
-    to add. Changes are clipped in two ways. A parameter is reduced by at most half of its value.
-    The floor stays at or below start and goal, and the ceiling at or above them, so that the
-    mission stays feasible.
+    `changes` maps some of the full names in `numbers` to amounts to add. Large decreases are
+    clipped. Start and goal stay between floor and ceiling.
     """
     found = dict(numbers)
     for name, change in changes.items():
         least = -_MOST * abs(numbers[name])
         found[name] = numbers[name] + (change if change > 0.0 else max(change, least))
+    # The floor stays at or below start and goal, and the ceiling at or above them, so that the
+    # mission stays feasible.
     ends = [numbers[name] for name in _ENDS if name in numbers]
     for name, choose in ((_FLOOR, min), (_CEILING, max)):
         if name in found and ends:
@@ -310,12 +300,8 @@ def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
 def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
     """Return the mesh of a solution with shorter elements during given windows of time.
 
-    The part of each element that is inside a window is divided. The new elements have at most 1 /
-    `denser` of the length of the whole element. Elements outside the windows are unchanged.
-    `windows` has the start and the end time of each window [s].
-
-    The purpose is a path that cuts corners of zones less: the depth of the cut between two
-    collocation points is proportional to their distance.
+    In a window, elements have at most 1 / `denser` of the old length. `windows` has the start and
+    end of each [s].
     """
     mesh, cuts = solution.mesh, list[float]()
     for window in windows:
@@ -339,9 +325,7 @@ def _windows(
 ) -> list[tuple[float, float]]:
     """Return the periods in which the mesh is refined, because a flight cuts through a zone.
 
-    If the flight is too near to a zone from time a to time b, the period is from a - (b - a) to b +
-    (b - a). It is longer than the violation, because the optimum on a finer mesh may pass the zone
-    a little earlier or later.
+    Each violation is extended by its own duration, before and after.
 
     Parameters
     ----------
@@ -369,5 +353,6 @@ def _windows(
         for first, after in spans_where(limit.relative_violations > allowed):
             start = float(flown.t[max(first - 1, 0)])
             end = float(flown.t[min(after, len(flown.t) - 1)])
+            # The optimum on a finer mesh may pass the zone a little earlier or later.
             found.append((start - (end - start), end + (end - start)))
     return found

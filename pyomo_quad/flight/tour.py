@@ -103,9 +103,10 @@ class LegTable:
     def legs(self) -> tuple[_Leg, ...]:
         """Legs (flights between two places) that an order may use and that zones leave open.
 
-        Each leg is a pair of indices of places. The start has index 0, the goal the last index. The
-        result is empty if zones leave no way to visit all places.
+        Each leg is a pair of indices of places. The result is empty if zones leave no way to visit
+        all places.
         """
+        # Place 0 is the start, the last place is the goal.
         return () if isinf(self._usual) else tuple(self._ways)
 
     @property
@@ -125,19 +126,8 @@ class LegTable:
     def costs(self) -> FloatArray:
         """Return the cost of each leg [J], solved or predicted optimistically.
 
-        A leg is the flight from one place to another, from hover to hover. Its cost is the energy
-        plus the price of time times the duration. There are three kinds of legs:
-        - Solved: the cost of the solution.
-        - Not tried: prediction - 2 e. The prediction is the regression of docs/theory/orders.md,
-          eq. (1), and e is its cross-validated root mean square error.
-        - Tried, but the solve failed: the prediction.
-
-        As long as no leg is solved, the lengths of the legs [m] serve as costs.
-
-        A leg whose solve failed may still be part of the mission, because the mission passes the
-        places without stops. In a mission of fixed duration, for example, each leg receives a part
-        of the duration, in proportion to its length. This time may be too short for a flight from
-        hover to hover, but long enough for a flight without stops.
+        The cost is the energy plus the price of time times the duration. As long as no leg is
+        solved, the lengths [m] serve as costs. See docs/theory/orders.md, eq. (1).
 
         Returns
         -------
@@ -162,6 +152,9 @@ class LegTable:
         errors = (features @ fit @ energies - energies) / left_out
         margin = _OPTIMISM * float(np.sqrt(np.mean(errors**2)))
         others = np.array([self._features(leg)[:terms] for leg in missing]) / scales
+        # A leg that cannot be flown from hover to hover in its part of a fixed duration may still
+        # be part of the mission, which passes the places without stops. Its part is in proportion
+        # to its length.
         margins = np.array([0.0 if leg in self._failed else margin for leg in missing])
         predicted = np.maximum(others @ fit @ energies - margins, 0.0)
         return self._table(self._known | dict(zip(missing, predicted.tolist(), strict=True)))
@@ -195,8 +188,7 @@ class LegTable:
     def _features(self, leg: _Leg) -> list[float]:
         """Return the regressors that predict the energy of a leg (flight between two places).
 
-        `leg` is the pair of indices of the two places. The regressors are functions of length,
-        direction, height and detour of the leg. The prediction is a linear combination of them, see
+        They are functions of length, direction, height and detour of the leg; see
         docs/theory/orders.md, eq. (1).
         """
         here, there = (np.array(self._scenario.mission.positions[k]) for k in leg)
@@ -219,12 +211,8 @@ def find_orders(
 ) -> tuple[OrderSearch, ...]:
     """Search for the cheapest orders of the waypoints of a mission, by the costs of their legs.
 
-    A leg is the flight between two places, from hover to hover. In each round, the orders are
-    ranked by their costs. A leg that has not been solved counts with an optimistic prediction of
-    its cost. Then the unsolved legs of the cheapest orders are solved. The search ends when the
-    cheapest orders have no unsolved leg. Every other order then costs at least as much, even by the
-    optimistic predictions. With more waypoints than the constant `orders.MOST_EXACT`, the number of
-    rounds is limited.
+    A leg is the flight between two places, from hover to hover. The legs of the cheapest orders are
+    solved, the others predicted.
 
     Parameters
     ----------
@@ -253,6 +241,8 @@ def find_orders(
         cheapest_orders = best_orders(costs, count)
         rounds += 1
         is_last = n > MOST_EXACT and rounds >= _MOST_ROUNDS
+        # If the cheapest orders have no unsolved leg, every other order costs at least as much,
+        # even by the optimistic predictions.
         if not table.solve_for(leg for order in cheapest_orders for leg in _legs_of(order)):
             break
         if is_last:
@@ -291,9 +281,8 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    The result has the legs from each place to its nearest places, the legs of the shortest order,
-    and legs of many different lengths. Legs without a route are left out. `lengths` has the lengths
-    of all legs [m], infinite without a route, shape (n_places, n_places).
+    They are legs from each place to its nearest places, those of the shortest order, and legs of
+    many lengths. `lengths` [m] is infinite for a leg without a route.
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -306,8 +295,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
     """Return the shortest route for each leg that an order of the waypoints may use.
 
-    A leg is a pair of indices of places. The start has index 0, the waypoints follow, and the goal
-    is last. Legs for which zones block every route are left out.
+    A leg is a pair of indices of places. Legs for which zones block every route are left out.
     """
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1

@@ -1,11 +1,10 @@
 """Simulated flights that follow a solution on a coarse mesh under feedback, to make it flyable.
 
-Between its collocation points, the solution satisfies the equations of motion only approximately.
-If its controls are simulated in open loop, the flight therefore misses the goal: an error in the
-speed of one rotor causes a position error that grows with the fourth power of time. This module
-simulates the equations while a linear-quadratic regulator keeps the vehicle near the solution. The
-simulated states and controls satisfy the equations to the tolerance of the integrator. The energy
-of the simulated flight is close to that of the solution.
+Between its collocation points, the solution satisfies the equations of motion only approximately. A
+simulation of its controls in open loop therefore misses the goal. This module simulates the
+equations while a linear-quadratic regulator keeps the vehicle near the solution. The simulated
+states and controls satisfy the equations to the tolerance of the integrator. The energy of the
+simulated flight is close to that of the solution.
 
 Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 """
@@ -239,9 +238,7 @@ class _Regulator:
     def driven_by(self, aside: FloatArray) -> FloatArray:
         """Return the disturbances of the regulated system that a displacement of the path causes.
 
-        The displaced path violates the linearised equations of motion. Its defect in element k is F
-        aside[k] - aside[k + 1], with the matrix F of eq. (2). It acts like a known disturbance of
-        the states, which the regulator can anticipate.
+        The disturbance of element k is F aside[k] - aside[k + 1], with the matrix F of eq. (2).
 
         Parameters
         ----------
@@ -254,6 +251,8 @@ class _Regulator:
         ndarray, shape (n, n_states)
             Disturbance of the states in each element.
         """
+        # This defect of the displaced path in the linearised equations acts like a known
+        # disturbance of the states, which the regulator can anticipate.
         carried = np.einsum("kij,kj->ki", self.transitions, aside[:-1])
         return np.asarray(carried - aside[1:])
 
@@ -261,8 +260,8 @@ class _Regulator:
 def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
     """Return which of n times are within at least one of several spans of time.
 
-    `times` has the times [s], shape (n,). `rests` has the start and end of each span [s], which
-    belong to the span. The result is an array of booleans, shape (n,).
+    `rests` has the start and end of each span [s], which belong to the span. The result has the
+    shape (n,).
     """
     inside = [(times >= a - _SAME_S) & (times <= b + _SAME_S) for a, b in rests]
     return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)
@@ -272,15 +271,6 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that demands cause, at the element boundaries.
 
     Demands are changes of the path that a simulated vehicle follows: pushes, hovers and shifts.
-    They change the states as follows:
-    - Pushes change position and velocity. The regulator of the vehicle finds the tilt that the
-      displaced path needs.
-    - During demanded hovers, the velocity is changed to zero.
-    - Shifts change tilt, speed and rotor speeds.
-
-    If the mission requires a constant heading, yaw angle and yaw rate are changed, too. In the
-    coarse solution, the heading has the required value at the collocation points only; after the
-    change, it is constant.
 
     Parameters
     ----------
@@ -297,12 +287,15 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
         Changes of the states, in the order of `dynamics.state_names`.
     """
     aside = np.zeros_like(path.states)
+    # Pushes change position and velocity. The regulator finds the tilt that the displaced path
+    # needs.
     moved = displaced(path.borders, demands.displacement)
     for names, values in zip((POSITION_STATES, VELOCITY_STATES), moved, strict=True):
         aside[:, [dynamics.state_names.index(name) for name in names]] = values
     at_rest = np.flatnonzero(_are_within(path.borders, demands.rests))[:, None]
     speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
     aside[at_rest, speeds] = -path.states[at_rest, speeds]
+    # The coarse solution has the constant heading at its collocation points only.
     if _KEPT_HEADING in dynamics.parameter_names:
         columns = [dynamics.state_names.index(name) for name in (_ROLL, _YAW, _Q, _R)]
         roll, yaw, q, r = path.states[:, columns].T
@@ -398,10 +391,8 @@ def _regulator(
 def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) -> FloatArray:
     """Return the disturbance of the states in each mesh element, from an earlier flight.
 
-    The disturbance of element k is d[k + 1] - (F d[k] + G c[k]), docs/theory/tracking.md, eq. (6).
-    Here d is the deviation from the path at the element boundaries and c the correction of the
-    controls. The bracket is the deviation that the linearised equations predict. The next flight is
-    assumed to have the same disturbance, so that its controls can anticipate it.
+    It is d[k + 1] - (F d[k] + G c[k]) in element k, docs/theory/tracking.md, eq. (6). Here d is the
+    deviation from the path at the element boundaries, and c the correction of the controls.
 
     Parameters
     ----------
@@ -424,6 +415,8 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
     )
     explained = np.einsum("kij,kj->ki", regulator.transitions, deviation[:-1])
     explained += np.einsum("kij,kj->ki", regulator.driven, corrections)
+    # The next flight is assumed to have the same disturbance, so that its controls can anticipate
+    # it.
     return np.asarray(deviation[1:] - explained)
 
 
@@ -460,10 +453,8 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    In each element, a constant correction is added to the controls of the path. The correction is
-    the sum of the feedback and a command that is known in advance. The result is None if a state
-    grows beyond any physical value (the constant `_LOST`). Implements docs/theory/tracking.md, eq.
-    (1).
+    The result is None if a state grows beyond any physical value. Implements
+    docs/theory/tracking.md, eq. (1).
 
     Parameters
     ----------

@@ -123,13 +123,8 @@ def verified(
 ) -> Plan:
     """Verify a plan by simulation of its controls, and return it with the result.
 
-    A solution on a coarse mesh is inexact: with its controls, the vehicle would miss the goal. The
-    controls are therefore corrected by feedback before the simulation (see `flight.tracking`). At
-    the highest accuracy level, `proof`, the mesh is fine, and the controls are not corrected.
-
-    If the flight with corrected controls breaks limits, the corrections are computed again. The new
-    corrections anticipate the deviations of the previous flight. If that flight entered keep-out
-    zones, the path to be followed is displaced out of these zones (see `flight.displacement`).
+    Except at the accuracy `proof`, the controls are corrected by feedback before the simulation,
+    and corrected again if the flight breaks limits. See docs/theory/tracking.md.
 
     Parameters
     ----------
@@ -140,12 +135,12 @@ def verified(
     accuracy : Accuracy, optional
         The required accuracy; by default the scenario's accuracy.
     least_energy : float, optional
-        Least energy of the mission [J], with which the plan's energy is compared; by default the
-        energy of `plan`. The argument is needed if the solution has stricter limits than the
-        mission: its energy is then larger than the least energy of the mission.
+        Least energy of the mission [J], with which the energy of the corrected plan is compared;
+        by default the energy of `plan`. Give it if the solution has stricter limits than the
+        mission, because the energy of `plan` then exceeds the least energy of the mission.
     is_rough : bool, optional
-        Whether a usable plan is enough: a plan that the simulation confirms at a lower accuracy
-        than the required one.
+        Whether a usable plan is enough. A plan is usable if the simulation confirms it at a lower
+        accuracy than the required one.
 
     Returns
     -------
@@ -158,6 +153,8 @@ def verified(
     asked = accuracy or plan.scenario.solver.accuracy
     wanted = trajectories_of(solution).states[-1]
     try:
+        # A solution on a coarse mesh is inexact: with its controls, the vehicle would miss the
+        # goal. For `proof`, the mesh is fine.
         if asked is not Accuracy.PROOF:
             verification, flown = _as_planned(plan, asked, wanted)
         # No simulation is needed if the planned path itself is far beyond a limit.
@@ -189,15 +186,8 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback, and simulate the corrected controls.
 
-    The corrected controls are those of a simulated flight that follows the planned path under
-    feedback. If this flight breaks limits, it is repeated a few times. Each repetition anticipates
-    the deviations of the previous flight, and follows a changed path:
-
-    - The path is displaced out of the zones that earlier flights entered.
-    - The path is shifted away from the limits on tilt, speed and rotor speeds that earlier flights
-      exceeded.
-    - If an earlier flight moved during a hover at a waypoint, the path is at rest during all
-      hovers.
+    The corrected controls are those of a simulated flight under feedback. If this flight breaks
+    limits, it is repeated with the path changes that `_more_demands` returns.
 
     Parameters
     ----------
@@ -217,11 +207,11 @@ def _corrected(
     Plan
         Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
     Verification
-        Comparison of a flight with limits and final states. Usually, the flight is a simulation of
-        the corrected controls without feedback. If every flight under feedback exceeds even the
-        tolerances of a usable plan, the last flight under feedback is compared instead.
+        Comparison of the returned flight with limits and final states.
     Flown
-        Samples of the flight that was compared.
+        Samples of a flight: a simulation of the corrected controls without feedback. If every
+        flight under feedback exceeds even the tolerances of a usable plan, it is the last of these
+        flights.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -244,6 +234,7 @@ def _corrected(
         more = _more_demands(plan, demands, path, FIGURES[accuracy].breach)
         if previous is not None and more == demands:
             break
+        # The next flight anticipates the deviations of this flight.
         demands, previous = more, followed.trajectories
     usable = [one for one in found if one[1].reached or one[1].is_usable]
     if not usable:
@@ -255,7 +246,7 @@ def _corrected(
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
     """Return the path changes for the next simulated flight, after a flight that broke limits.
 
-    The vehicle follows the path under feedback. The new changes are:
+    The new changes are:
 
     - displacements out of the zones that the flight entered,
     - shifts away from the limits on tilt, speed and rotor speeds that the flight exceeded,
@@ -287,22 +278,20 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
     """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
 
-    States that measure consumption, such as the charge drawn from the battery, get their final
-    values from `plan`, because the mission does not prescribe them. All other states get their
-    values from `wanted`.
+    The result is a copy of `wanted`, the final states of the solution. Only the states that measure
+    consumption, such as the charge drawn, have their final values in `plan`.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])
+    # The mission does not prescribe the final consumption.
     return np.where(is_used, plan.trajectories.states[-1], wanted)
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
-    """Return a message: the reason why a simulated plan does not reach the required accuracy.
+    """Return the reason why a simulated plan does not reach the required accuracy, as a message.
 
-    The reason is either a limit that the simulated flight violates, or an energy that may exceed
-    the optimum by more than the accuracy allows. If neither applies, the result is the message of
-    the plan's solve. At the highest accuracy level, `proof`, the result is always the message of
-    the solve.
+    The reason is a violated limit, or a possible excess over the least energy. If neither applies,
+    or if the accuracy is `proof`, the result is the message of the solve.
 
     Parameters
     ----------
@@ -368,12 +357,11 @@ def _followed(
     demands: Demands,
     previous: Trajectories | None,
 ) -> Plan:
-    """Return a plan with controls corrected by feedback, so that the vehicle keeps to its path.
+    """Return a plan whose controls are corrected by feedback, so that they keep to the path.
 
-    The corrected plan has the states, controls and energy of a simulated flight under feedback (see
-    `flight.tracking`). Its error estimate is max(e, |E - E_least| / E_least), with the error
-    estimate e of `plan`, the energy E of the corrected plan and the least energy E_least; see
-    docs/theory/tracking.md, eq. (5).
+    States, controls and energy are those of a simulated flight under feedback. The error estimate
+    is max(e, abs(E - E_least) / E_least). Here e is the estimate of `plan`, E the energy of the
+    flight, and E_least is `least_energy`. See docs/theory/tracking.md, eq. (5).
 
     Parameters
     ----------

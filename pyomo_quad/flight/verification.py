@@ -148,9 +148,8 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    A parameter of the equations may jump at the start of the element, for example when a payload is
-    released. For times before `inside`, the equations therefore have the parameter values at
-    `inside`, just after the jump.
+    A parameter may jump at the start of the element, for example when a payload is released. To use
+    the value after the jump, the equations have the parameter values at `inside` before that time.
 
     Parameters
     ----------
@@ -274,16 +273,16 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    The result is negative if the battery always supplies more than needed. It is 0 for a model
-    without motor or battery voltage. `flown` has the samples of the flight.
-
-    The motor's voltage is that for a constant rotor speed. An accelerating rotor needs more
-    voltage; the model's limit on the rotor acceleration accounts for this.
+    The fraction is (needed - supplied) / needed, for the motor that needs most. It is negative if
+    the battery always supplies more than needed, and 0 if the model has no motor voltage or no
+    battery voltage. `flown` has the samples of the flight.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
     count = sum(name.startswith("rotors.omega[") for name in dynamics.state_names)
     keys = (*((_MOTOR_VOLTAGE, j + 1) for j in range(count)), (_VOLTAGE, None))
+    # Voltage at constant rotor speed: the model's limit on the rotor acceleration accounts for the
+    # further voltage of an accelerating rotor.
     steady = np.zeros_like(flown.controls)
     *needed, given = dynamics.table(keys, flown.t, flown.states, steady).T
     highest = np.max(needed, axis=0)
@@ -313,9 +312,8 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     """Return the largest fractions of power and charge that the battery cannot supply in a flight.
 
-    A simulated flight may exceed the battery's greatest power or its charge, because the equations
-    of the model have finite values even then. This function measures the excess. `flown` has the
-    samples of the flight.
+    The equations of the model have finite values even beyond the battery's greatest power or
+    charge. This function measures the excess. `flown` has the samples of the flight.
 
     Returns
     -------
@@ -380,15 +378,14 @@ def samples_of_path(
 ) -> list[FloatArray]:
     """Return where to sample a simulated flight in each mesh element, to check limits on position.
 
-    The samples are dense where the path between two nodes may reach a zone or a limit on the height
-    above terrain. Near a zone, samples are at most `spacing` [m] apart. Near a height limit, they
-    are at most a small fraction of a terrain grid step apart.
+    All elements have equally spaced samples. If the path between two nodes may reach a zone,
+    samples at most `spacing` [m] apart are added. If it may reach a height limit over terrain, the
+    added samples are at most a small fraction of a grid step apart.
 
     Parameters
     ----------
     dynamics : Dynamics
-        Equations of the plan. Samples are equally spaced if their states do not include the
-        position.
+        Equations of the plan. If the position is not among the states, no samples are added.
     mesh : Mesh
         Mesh of the plan.
     states : ndarray, shape (n_points + 1, n_states)

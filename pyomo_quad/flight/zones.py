@@ -3,10 +3,8 @@
 A leg is the line between two waypoints. The side on which a route passes a zone is determined where
 the route crosses a vertical plane across the leg. If the leg enters the zone, the plane goes
 through the middle of the part of the leg inside the zone. If the leg stays outside, the plane goes
-through the point of the leg nearest to the zone.
-
-This plane separates the start of the leg from its goal. A plane through the centre of the zone
-would not always do so: it may lie before the start or beyond the goal.
+through the point of the leg nearest to the zone. A plane through the centre of the zone would not
+do: it may lie before the start of the leg or beyond its goal, so that a route need not cross it.
 """
 
 from collections.abc import Sequence
@@ -156,10 +154,8 @@ def sides_passed(
 ) -> NDArray[np.intp]:
     """Return the side on which each of n straight lines passes a keep-out zone.
 
-    The lines are pieces of routes for a leg (line between two waypoints). The side is determined at
-    the point where a line crosses a vertical plane. The plane is perpendicular to the horizontal
-    direction of the leg. The docstring of this module says through which point of the leg the plane
-    goes; here, the zone is enlarged by its clearance.
+    The side is determined where a line crosses the vertical plane across the leg. The docstring of
+    this module defines the plane; its "zone" is the zone enlarged by `clearance`.
 
     Parameters
     ----------
@@ -194,9 +190,8 @@ def sides_passed(
 class _Section(NamedTuple):
     """Cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    The cross-section serves to decide on which side a route passes the zone. It is given by its
-    middle, half its width and half its height, and by three unit vectors: along the leg, to the
-    left of the leg, and up. A leg is the line between two waypoints.
+    It determines on which side a route passes the zone. The docstring of this module defines the
+    plane.
     """
 
     middle: FloatArray
@@ -214,9 +209,7 @@ class _Section(NamedTuple):
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
     """Return the cross-section of a keep-out zone in a vertical plane across a leg near the zone.
 
-    The zone is enlarged by its clearance. If the leg enters the enlarged zone, the plane goes
-    through the middle of the part inside. If the leg stays outside, the plane goes through the
-    point of the leg nearest to the zone.
+    The docstring of this module defines the plane; its "zone" is the zone enlarged by `clearance`.
 
     Parameters
     ----------
@@ -247,10 +240,9 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
     """Return the place at which a leg passes a keep-out zone, and the clearance used [m].
 
-    The leg is the line between two waypoints, `ends`, shape (2, 3) [m]. The place is given as a
-    fraction of the leg. Usually, it is the middle of the part of the leg that is closer to the zone
-    than `clearance` [m]. If no part is that close, the clearance is increased until the enlarged
-    zone touches the leg. The place is then the point of contact.
+    The place is a fraction of the leg `ends`, shape (2, 3) [m]: the middle of the part that is
+    closer to the zone than `clearance` [m]. If there is no such part, the place is the point
+    nearest to the zone, and the clearance is raised until the enlarged zone reaches this point.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -261,6 +253,7 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
     first, last = span(clearance)
     if last > first:
         return (first + last) / 2, clearance
+    # Bisection for the clearance with which the enlarged zone touches the leg.
     while reach - short > ROUNDING * reach:
         middle = (short + reach) / 2
         first, last = span(middle)
@@ -282,15 +275,15 @@ def _chord(
 
 
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return unit vectors along a leg (line between two waypoints), to its left and up.
+    """Return unit vectors along a leg, to its left and up, each of shape (3,).
 
-    Each vector has shape (3,). The first vector is the horizontal direction of the leg; for a
-    vertical leg, it points up. `ends` has start and end of the leg, shape (2, 3) [m].
-
-    The vectors serve to name the side on which a route passes a zone. Because the first vector is
-    horizontal, a route beside a tall zone passes it on the left or right, even if the leg is steep.
+    The first vector is the horizontal direction of the leg. If the leg is vertical, the first
+    vector points up, and the other two are horizontal. `ends` has start and end of the leg, shape
+    (2, 3) [m].
     """
     upward = np.array([0.0, 0.0, 1.0])
+    # Horizontal, so that a route beside a tall zone passes it on the left or right, even if the leg
+    # is steep.
     along = (ends[1] - ends[0]) * (1.0, 1.0, 0.0)
     if np.linalg.norm(along) <= ROUNDING:
         along = upward if ends[1, 2] != ends[0, 2] else np.array([1.0, 0.0, 0.0])

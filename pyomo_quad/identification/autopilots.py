@@ -43,12 +43,10 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 @contextmanager
 def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
-    """Context manager that turns errors of another package's log reader into a ScenarioError.
+    """Turn errors of another package's log reader into a ScenarioError of one line.
 
-    Readers such as `pyulog` raise exceptions of many types for damaged logs. The message of the
-    ScenarioError is one line. Text that the reader prints is suppressed. Errors of the file system
-    and a lack of memory are passed on unchanged. `autopilot` is the name of the autopilot, and
-    `package` the name of the reader's package, for the messages.
+    Text that the reader prints is suppressed. Errors of the file system and a lack of memory pass
+    unchanged. The messages name the `autopilot` and the reader's `package`.
     """
     try:
         with redirect_stdout(StringIO()):
@@ -59,6 +57,7 @@ def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
         ) from None
     except (OSError, MemoryError):
         raise
+    # Readers such as `pyulog` raise exceptions of many types for damaged logs.
     except Exception as error:
         raise ScenarioError(f"is not a complete {autopilot} log; copy it again.") from error
 
@@ -246,7 +245,7 @@ def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
     """Return the rows of an ArduPilot message table that the first sensor or filter has written.
 
     Several sensors, or several instances of the Kalman filter, may write the same kind of message.
-    Each of them has a number. Only the rows with the least number are returned.
+    The first is the one with the least number.
 
     Parameters
     ----------
@@ -261,6 +260,7 @@ def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
         raise ScenarioError(
             f"has no message {name} with {', '.join(needed)}; log it (LOG_BITMASK)."
         )
+    # Several sensors, or several instances of the filter, may write the same kind of message.
     for number in ("C", "I", "Inst"):
         if number in message:
             return message[message[number] == message[number].min()]
@@ -301,8 +301,8 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
     """Return whether the vehicle flies at each time, by the land detector of an ArduPilot log.
 
-    `events` is the log's table of events. `times` are times in microseconds, as in this table. If
-    the log has no events of the land detector, the result is True at all times.
+    `times` are in microseconds, as in the log's table `events`. If the land detector has logged no
+    events, the result is True at all times.
     """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)

@@ -170,9 +170,9 @@ def draw_power(found: Identification) -> Figure:
 def draw_voltages(found: Identification, pack: PackIdentification) -> Figure:
     """Draw measured and computed cell voltage of three flights, and the error of each flight.
 
-    The left panel shows the voltage of a slow, an average and a fast flight over time. The right
-    panel shows the root mean square error of each flight's voltage. Its horizontal axis is the
-    ratio of the resistance of the flight's battery pack to the resistance of the median pack.
+    The left panel shows a slow, an average and a fast flight over time. The right panel has one
+    point per flight: horizontally the pack's resistance divided by that of the median pack,
+    vertically the root mean square error.
 
     Parameters
     ----------

@@ -2,10 +2,10 @@
 
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-A residual is the mean measured power minus the mean computed power in a time window of some
-seconds. Averages are needed because noise dominates airspeed and acceleration in a single row of a
-log, which is one second long. A fit to single rows would give a power curve that is too flat. Large
-residuals, from gusts or ground effect, count linearly instead of quadratically.
+A residual is the mean computed power minus the mean measured power in a time window of some
+seconds. A single row of the log (one second) would not do, because noise dominates its airspeed and
+acceleration. Large residuals, as from gusts or ground effect, count linearly instead of
+quadratically.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -318,10 +318,8 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
-        If the log has n_flights flights, each draw chooses n_flights of them at random, with
-        replacement. The parameters are fitted to the chosen flights by robust least squares. To
-        save time, the computed power is linearised in the parameters about `values`. For parameters
-        in which the power is linear, this is exact.
+        Each draw chooses as many flights as the log has, at random, with replacement. See
+        docs/theory/identification.md, eq. (4).
 
         Parameters
         ----------
@@ -346,6 +344,8 @@ class Fit:
             chosen = np.repeat(np.arange(len(at)), counts[flight])
 
             def residual(new: FloatArray, chosen: NDArray[np.int64] = chosen) -> FloatArray:
+                # Linearised about `values` to save time; exact for parameters in which the power is
+                # linear.
                 return (at + slopes @ (new - values) - measured)[chosen]
 
             found.append(_robust(residual, values, self.bounds))
@@ -460,12 +460,8 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A change of one parameter changes the computed power. Changes of the other parameters can cancel
-    a part of this effect. The parameter is undetermined if they can cancel almost all of it.
-
-    The parameter with the smallest remaining effect is tested first. If it is undetermined, it is
-    removed, and the test is repeated with the other parameters. The test ends when all parameters
-    that are left are determined.
+    A parameter is undetermined if changes of the other parameters can cancel almost all of its
+    effect on the computed power. See docs/theory/identification.md, eq. (3).
 
     Parameters
     ----------
@@ -473,6 +469,7 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
         Least-squares problem with all parameters that are to be fitted.
     """
     slopes = fit.slopes(fit.base)
+    # The least magnitude ensures that a parameter with the value 0 is changed, too.
     slopes *= _SHARE * np.maximum(np.abs(fit.base), _size(fit))
     least = _LEAST_EFFECT * float(np.median(fit.frame[POWER]))
     left = list(range(len(fit.names)))
@@ -484,6 +481,7 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
             own = slopes[:, k]
             fitted = others @ np.linalg.lstsq(others, own, rcond=None)[0] if len(left) > 1 else 0.0
             effects.append(float(np.sqrt(np.mean((own - fitted) ** 2))))
+        # The weakest is removed first; the others are tested again without it.
         weakest = int(np.argmin(effects))
         if effects[weakest] >= least:
             break
@@ -492,11 +490,10 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude of each parameter that the function `undetermined` assumes.
+    """Return the least magnitude of each parameter for the test of the function `undetermined`.
 
-    To test a parameter, `undetermined` changes it by a fraction of max(|value|, least magnitude).
-    The least magnitude ensures that a parameter with the value 0 is changed, too. The result has
-    shape (n,) and the units of the parameters.
+    The test changes a parameter p by a fraction of max(abs(p), least magnitude), so that it changes
+    p = 0, too. The result has shape (n,) and the units of the parameters.
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -505,7 +502,6 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
     """Pair each undetermined parameter with the parameter that has the most similar effect.
 
     The effect of a parameter is the derivative of the computed power with respect to the parameter.
-    A parameter is undetermined if the measured flights do not determine its value.
 
     Parameters
     ----------
@@ -590,9 +586,8 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    To test the time between the rows, the parameters are fitted once more, to every second row. The
-    rows are too far apart if a parameter differs between the two fits by more than two standard
-    deviations and by more than 5 %.
+    The rows are too far apart if a fit to every second row changes a parameter by more than two
+    standard deviations and by more than 5 %.
 
     Parameters
     ----------

@@ -390,12 +390,12 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
     """Yield a message for each quantity that seems to be logged in thousandths of its unit.
 
-    An example is a power in milliwatts. The test is whether the median over a flight exceeds every
-    plausible value in the expected unit. `frame` has the rows of all flights.
+    An example is a voltage in millivolts. `frame` has the rows of all flights.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():
             usual = float(rows[name].median()) if name in frame else 0.0
+            # The median over the flight exceeds every plausible value in the expected unit.
             if abs(usual) > most:
                 yield (
                     f"flight {flight}: {name} has a median of {usual:.4g}, which must be "
@@ -406,8 +406,8 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
     """Yield an error message for each column of a log that has implausible values.
 
-    A value is implausible if it is outside the range that the module gives for the column. The
-    message quotes the first of these values. `frame` has the rows of all flights.
+    The message quotes the first value outside the column's range in `_SOUND`. `frame` has the rows
+    of all flights.
     """
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()

@@ -49,9 +49,8 @@ _OTHER_VALUE, _FEW = 1.7, slice(0, 50)
 def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scenario:
     """Make a scenario for the identification of a vehicle: a short mission in calm air.
 
-    The air is calm, so that velocity over ground and velocity through the air are equal in the
-    model. The mission is needed only because every scenario has one; it has no effect on the
-    identification.
+    The mission has no effect on the identification. The air is calm, so that the model's velocity
+    over ground can be set to the logged velocity through the air.
 
     Parameters
     ----------
@@ -76,6 +75,7 @@ def vehicle_scenario(base: str, model: PowerModel = PowerModel.MOMENTUM) -> Scen
         "vehicle": {"use": file.name if file.suffix == ".toml" else base},
         "wind": {"use": "calm", "coupling": "drag"},
         "power": {"model": model},
+        # Every scenario needs a mission; this one is not flown.
         "mission": {"goal": {"position": [1.0, 0.0, 0.0]}, "duration": 10.0},
     }
     folder = file.parent if file.suffix == ".toml" else None

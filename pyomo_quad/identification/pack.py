@@ -2,11 +2,10 @@
 
 Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-validated by flight.
 
-The battery is simulated without the vehicle, under the measured powers of the flights. The
-simulation uses the battery equations of the planner's model. The charge at the start of a flight
-follows from the voltage before the motors load the pack. The packs of the flights differ in age and
-temperature, and therefore in resistance. The resistance of a flight's pack follows from the first
-seconds under load.
+The battery equations of the planner's model are simulated without the vehicle, under the measured
+powers of the flights. Each flight has its own charge at the start, from the voltage before the
+load, and its own resistance, from the first seconds under load: packs differ in age and
+temperature.
 """
 
 from dataclasses import dataclass
@@ -123,8 +122,8 @@ class PackIdentification:
 class _Flown(NamedTuple):
     """Measured power and cell voltage of one flight, in time steps of equal length.
 
-    The time steps have the same length for all flights. The first step is a few seconds before the
-    motors begin to load the pack, or at the start of the log if the log begins later.
+    The arrays begin a few seconds before the motors load the pack, or with the log if the log
+    begins later.
 
     Attributes
     ----------
@@ -150,10 +149,9 @@ class _Flown(NamedTuple):
 class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
-    The arrays `power` [W] and `voltage` [V per cell] have one column for each flight and one row
-    for each time step. Each flight is resampled to the common time step, and begins at most 3 s
-    before the motors load the pack. Row 0 is the beginning of each flight. The columns of shorter
-    flights are filled up with zeros. Flights that are too short or have no load are left out.
+    The arrays `power` [W] and `voltage` [V per cell] have one column per flight and one row per
+    time step from the beginning of the flight, with zeros after its end. Flights that are too short
+    or have no load are left out.
 
     Parameters
     ----------
@@ -193,6 +191,7 @@ class Record:
         if not len(loaded):
             return None
         first, last = int(loaded[0]), int(loaded[-1]) + 1
+        # Each flight begins at most 3 s before the motors load the pack.
         begin = max(0, first - round(_BEGIN_S / self.step))
         if last - begin < self.reading + _FEWEST_ROWS:
             return None
@@ -357,10 +356,8 @@ class Circuit:
     def charge(self, record: Record, values: FloatArray, factor: FloatArray) -> FloatArray:
         """Return the charge that is missing from the pack at the start of each flight [A h].
 
-        The charge is counted from the full pack. It follows from the open-circuit voltage at the
-        start of the flight. The open-circuit voltage is the measured voltage plus the computed
-        voltage drop under the power before take-off. If the record begins under load, the power of
-        its first row is used.
+        The charge, counted from the full pack, follows from the open-circuit voltage at the start;
+        see docs/theory/identification.md, eq. (7).
 
         Parameters
         ----------
@@ -376,6 +373,7 @@ class Circuit:
         ndarray, shape (n_flights,)
             Charge missing from the whole pack of each flight [A h].
         """
+        # Voltage and power before the motors load the pack, or of the first row of the record.
         voltage, power = record.rest.T
         told = {name: number[:1] for name, number in self.numbers(values, factor).items()}
         states = np.tile(self._begun, (_CURVE, 1))
@@ -546,9 +544,8 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 def _resistance(values: FloatArray) -> float:
     """Return the total resistance of a cell after a long time under load [ohm].
 
-    The total is the sum of the ohmic resistance and the relaxation resistance, whose voltage drop
-    builds up slowly. `values` are the logarithms of the fitted fields, in the order of the mapping
-    `FITTED`.
+    The total is the ohmic plus the relaxation resistance. `values` are the logarithms of the fitted
+    fields, in the order of `FITTED`.
     """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
@@ -558,8 +555,9 @@ def _resistance(values: FloatArray) -> float:
 def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
-    The circuit has a relaxation resistance, whose voltage drop builds up slowly, a temperature on
-    which the resistances depend, and a state of health (a factor on the resistances).
+    The circuit has a relaxation resistance, whose voltage drop builds up slowly. It also has a
+    temperature on which the resistances depend, and a state of health (a factor on the
+    resistances).
 
     Parameters
     ----------
@@ -591,12 +589,10 @@ def with_circuit(scenario: Scenario) -> Scenario:
 
 
 def _as_given(scenario: Scenario) -> list[float]:
-    """Return the initial values of the fitted battery fields, before the logarithm is taken.
+    """Return the initial values of the fitted battery fields, in the order of `FITTED`.
 
-    The values are those of `scenario`, in the order of `FITTED`, which lists the fitted fields. All
-    values must be positive, because the fit uses their logarithms. If the battery has no
-    relaxation, or no activation energy for the temperature dependence of the resistance, positive
-    default numbers take the place of the missing values.
+    If the battery has no relaxation or no activation energy, positive numbers take its place,
+    because the fit uses logarithms. The result itself is not logarithmic.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)

@@ -231,8 +231,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     """Yield the lines of a vehicle or battery file (TOML), one for each entry.
 
-    An entry is a number with its source, or a value without source, such as the name of the base
-    vehicle. Each line begins with the dotted key of the entry, such as ``fields.mass``.
+    An entry is a number with its source, or a value without source. Each line begins with the
+    dotted key of the entry, such as ``fields.mass``.
 
     Parameters
     ----------

@@ -6,10 +6,9 @@ constant efficiency | proportional to the ideal power of hover, P = c (m g)^1.5 
 regression by phase | P = a + b (m g)^1.5 / sqrt(rho), with own a and b in each phase of the flight
 
 P is the power, m the mass with payload, g gravity, and rho the air density; a, b and c are fitted.
-The rivals and the package's own model are fitted and validated on the same flights, in the same
-way. The regression by phase has the form of Rodrigues et al., "Drone flight data reveal energy and
-greenhouse gas emissions savings for very small package delivery", Patterns 3 (2022), with new
-coefficients.
+All models are fitted and validated in the same way, on the same flights. The regression by phase
+has the form of Rodrigues et al., "Drone flight data reveal energy and greenhouse gas emissions
+savings for very small package delivery", Patterns 3 (2022).
 """
 
 from collections.abc import Sequence
@@ -65,9 +64,8 @@ def model_table(found: Identification) -> pd.DataFrame:
 def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
     """Return the regressors of each published power model, by the model's name.
 
-    Each model is linear in its parameters: power = X p, where X is the matrix of regressors, shape
-    (n_rows, n_parameters), and p the vector of parameters. `frame` has the rows of the flights, and
-    `mass` is the vehicle's mass without payload [kg].
+    Each model is linear in its parameters p: power = X p, with the matrix X of regressors, shape
+    (n_rows, n_parameters). `mass` is the vehicle's mass without payload [kg].
     """
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)

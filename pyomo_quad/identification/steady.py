@@ -156,7 +156,7 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Complete a table of measured points of steady flight with default values.
 
     If the points have endurances in place of powers, the power is 0.8 * stored energy of the
-    vehicle's battery / endurance. The assumption is that a flight uses 80 % of the stored energy.
+    battery / endurance: a flight is assumed to use 80 % of the stored energy.
 
     Parameters
     ----------

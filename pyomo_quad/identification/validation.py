@@ -176,9 +176,8 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
 def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     """Test how a model extrapolates to other payloads and speeds.
 
-    If the payloads differ, the model is fitted to the flights with the heaviest payload and tested
-    on the flights with the lightest. If the speeds differ, the model is fitted to slow flights and
-    tested on the fastest.
+    If the payloads differ, the model is fitted to the heaviest payload and tested on the lightest.
+    If the speeds differ, it is fitted to slow flights and tested on the fastest.
 
     Parameters
     ----------
@@ -217,8 +216,8 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
 def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
     """Return the usual ground speed in cruise [m/s] of the flight that each row belongs to.
 
-    The usual speed of a flight is the 90 % quantile of the ground speed in its cruise, rounded to a
-    multiple of 2 m/s. It serves to group flights, for example into slow and fast flights.
+    The usual speed is the 90 % quantile of the ground speed in cruise, rounded to a multiple of 2
+    m/s. It serves to group flights by speed.
 
     Parameters
     ----------

@@ -4,19 +4,17 @@ The force is the sum of two parts. The first part follows one of two laws, which
 `wind.coupling` selects:
 
 `acceleration` is eq. (9) of the paper (Yacef et al.) as printed, which adds the wind velocity to
-the acceleration of the vehicle. The wind velocity is multiplied by a coefficient of 1 per second,
-which the paper does not print, but which the units require. The vehicle's own velocity has no
-effect on this force.
+the acceleration of the vehicle. A coefficient of 1 per second, which the paper does not print,
+makes the units consistent. The vehicle's own velocity has no effect on this force.
 
 `drag` is an isotropic drag: the force is -(d_1 + d_2 abs(v)) v. The airspeed v is the velocity of
 the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are the vehicle's
 `drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. `drag` is the
 default for a vehicle that has any drag coefficient.
 
-The second part is the same with both laws. It consists of forces along the body axes, which depend
-on the airspeed v in body axes and on the rotor speed omega. A vehicle with rotor drag and parasitic
-drag usually has no isotropic drag: d_1 and d_2 are then zero. Each row of the table gives the
-vehicle's field that holds the coefficient (k_d, k_z, k_h or c_i), and the force:
+The second part consists of forces along the body axes, whichever law the first part follows. They
+depend on the airspeed v in body axes and on the rotor speed omega. A force is declared only if its
+coefficient is not zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -24,9 +22,8 @@ rotor_drag_axis | -k_z omega v along z, at each rotor | Svacha, Mohta and Kumar 
 translational_lift | k_h (v_x^2 + v_y^2) along z, at each rotor | Faessler et al. (2018)
 parasitic_drag | -c_i abs(v) v_i along each axis | Svacha, Mohta and Kumar (2017)
 
-The airspeed of a rotor is the airspeed at the rotor's place: it includes the velocity of this place
-due to the body rates. Rotor drag therefore damps the body rates without a further coefficient. A
-force of the second part is declared only if its coefficient is not zero.
+The airspeed of a rotor includes the velocity of the rotor's place due to the body rates. Rotor drag
+therefore damps the body rates without a further coefficient.
 """
 
 from collections.abc import Callable
@@ -73,9 +70,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     - the coefficients of rotor drag and translational lift, if the vehicle has these forces,
     - the coefficients of parasitic drag, if the vehicle has this force.
 
-    The coefficients of the isotropic drag are parameters of block `vehicle` instead. Each
-    `Parameter` states name, unit and meaning of a number, and how its value follows from a
-    scenario.
+    The block `vehicle` has the coefficients of the isotropic drag.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -97,10 +92,9 @@ def acts_in_body_axes(scenario: Scenario) -> bool:
 def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the aerodynamic force and moments on the vehicle in block `aerodynamics`.
 
-    The block gets expressions over time. The expressions `force_x`, `force_y` and `force_z` are the
-    forces along the world axes [N]. The expressions `roll_moment`, `pitch_moment` and `yaw_moment`
-    are the moments about the body axes [N m]. The moments are declared only for a vehicle with
-    rotor drag or translational lift, the two forces that act at each rotor.
+    The expressions `force_x`, `force_y` and `force_z` over time are along the world axes [N]. If
+    the vehicle has rotor drag or translational lift, the moments `roll_moment`, `pitch_moment` and
+    `yaw_moment` about the body axes [N m] are declared, too.
 
     Parameters
     ----------
@@ -137,14 +131,10 @@ _ACCELERATION = units.m / units.s**2
 def declare_unexplained(m: ConcreteModel) -> None:
     """Add a constant horizontal acceleration to the equations of motion, as a correction.
 
-    The acceleration is the mutable parameter `aerodynamics.unexplained`, by world axis [m/s^2]. A
-    planner in flight sets the parameter to the observed acceleration minus the modelled
-    acceleration. This difference is not zero if the wind differs from the forecast.
-
-    Each horizontal force is replaced by a new expression of the same name: the force plus the mass
-    times the unexplained acceleration. The old expression is renamed. Call this function before
-    declaring any component that refers to the horizontal forces; otherwise the component would
-    refer to the old expressions.
+    The mutable parameter `aerodynamics.unexplained` has a value for each of the axes x and y: the
+    observed minus the modelled acceleration [m/s^2]. The expressions `force_x` and `force_y` are
+    replaced by others that include it. Call this function before declaring any component that
+    refers to them.
 
     Parameters
     ----------
@@ -152,6 +142,7 @@ def declare_unexplained(m: ConcreteModel) -> None:
         Model that already declares the aerodynamic forces in its block `aerodynamics`.
     """
     b = m.aerodynamics
+    # Not zero if, for example, the wind differs from the forecast.
     b.unexplained = Param(
         _HORIZONTAL,
         initialize=0.0,
@@ -181,12 +172,11 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 
 
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
-    """Return Pyomo rule and documentation text of each wind force of eq. (9), by name.
+    """Return Pyomo rule and documentation text of the wind force of eq. (9), for each world axis.
 
-    Eq. (9) of the paper (Yacef et al.) adds the acceleration c w to the motion, where w is the wind
-    velocity and c a coefficient in 1/s. The wind force is the mass times c w [N]. Its components
-    along the world axes are named `force_x`, `force_y` and `force_z`. `updraft` is the vertical
-    wind over time, or None for a horizontal wind.
+    The keys are "force_x", "force_y" and "force_z". The force is the mass times c w [N], with the
+    wind velocity w and a coefficient c [1/s]. `updraft` is the vertical wind over time; if it is
+    None, the vertical force is zero.
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -351,15 +341,14 @@ def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
-    The sum along a body axis consists of the parasitic drag and of the drag and translational lift
-    of all rotors. Forces whose coefficients are all zero are left out. To obtain the sum along a
-    world axis, these forces are rotated to world axes. Then the isotropic drag, or the wind force
-    of eq. (9) of Yacef et al., is added; the block already has this force.
+    Along the body axes, the forces are parasitic drag, rotor drag and translational lift. Along the
+    world axes, the isotropic drag or the wind force of eq. (9) of Yacef et al. is added.
 
     Parameters
     ----------
     b : Block
-        Block `aerodynamics`, which receives the sums as expressions over time.
+        Block `aerodynamics`, which has the isotropic drag or the wind force, and receives the sums
+        as expressions over time.
     m : ConcreteModel
         Model of the mission, to which the block belongs.
     scenario : Scenario

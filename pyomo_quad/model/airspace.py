@@ -1,7 +1,9 @@
 """The airspace: floor, ceiling, fence, borders of terrain and wind data, and keep-out zones.
 
 A keep-out zone is a region that flights must avoid. A zone is the intersection of one or more
-balls. The text after the table says what a ball is.
+balls. A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its
+centre. If the distance from the centre is measured in one coordinate, the ball is an interval; in
+two, it is a disk; in three, a sphere.
 
 symbol | name | unit | meaning
 c_k | centre[zone, ball, axis] | m | centre of ball k of a zone, on the axes of the ball
@@ -11,37 +13,30 @@ c | clearance | m | distance kept from every zone
 d_k | beyond[zone, ball] | m | distance of the vehicle from ball k (negative inside), minus c
 w | edge_width | m | width over which two faces of a zone are blended
 
-A ball (the class `scenario.airspace.Ball`) contains the places within a radius of its centre. Its
-distance is measured in one coordinate (an interval), in two (a disk) or in three (a sphere). A
-cylinder is the intersection of a disk and an interval of height. A box is the intersection of three
-intervals. A prism over a convex polygon is the intersection of an interval across each edge and an
-interval of height.
+zone | balls
+cylinder | a disk and an interval of height
+box | three intervals
+prism over a convex polygon | an interval across each edge, and an interval of height
 
-A place is outside the zone if it is outside at least one of the balls, that is, if max(d_k) > 0. In
-the model, a smooth lower bound replaces this maximum. A place is allowed if the lower bound is not
-negative. Every place inside the zone is thus forbidden. Some places just outside an edge of the
-zone are forbidden, too: places where two of the d_k differ by less than about w. Their distance
-from the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Away
-from the edges, the forbidden places are exactly the zone. The clearance moves each face outwards by
-the distance c; the edges between the faces stay sharp.
-
-A prism over a polygon with n corners is the intersection of n + 1 balls, blended in the same way.
-Near a corner of the prism, j of the d_k may be nearly equal, with j > 2. The distance of a
-forbidden place from the zone is then at most (j - 1) 0.14 w.
+A place is outside the zone if max(d_k) > 0. In the model, a smooth lower bound of this maximum must
+not be negative. Every place inside the zone is thus forbidden. Beside an edge, where two of the d_k
+differ by less than about w, some places outside the zone are forbidden, too. Their distance from
+the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Near a
+corner of a prism, where j > 2 of the d_k may be nearly equal, it is at most (j - 1) 0.14 w. Away
+from the edges, exactly the zone is forbidden. The clearance moves each face outwards by the
+distance c; the edges between the faces stay sharp.
 
 The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
-edges gives a linear limit of the position. These limits are exact, also at the corners. The
-clearance applies to keep-out zones only, not to the fence.
+edges gives a linear limit of the position, which is exact, also at the corners. The clearance does
+not apply to the fence.
 
 Over terrain, floor and ceiling limit the height above the ground, which the module `model.ground`
-declares. Flights stay within the edges of the terrain's grid, where the ground is known. Whether
-flights may leave the grid of a wind field depends on the scenario's `wind.beyond`. With "refuse",
-flights stay within the edges of the grid. With "hold", flights may leave the grid, and the wind of
-the edge also blows outside. Bottom and top of a zone are coordinates z, and not heights above the
-ground.
+declares. Flights stay within the edges of the terrain's grid, where the ground is known. They also
+stay within the grid of a wind field, unless the scenario's `wind.beyond` is "hold". Bottom and top
+of a zone are coordinates z, and not heights above the ground.
 
-`declare_airspace` raises an error if a start, goal or waypoint is on the surface of a zone: even
-the smallest deviation towards the zone would violate the limit.
+A start, goal or waypoint on the surface of a zone is an error: even the smallest deviation towards
+the zone would violate the limit.
 """
 
 from collections.abc import Mapping, Sequence
@@ -82,10 +77,7 @@ _TOUCHING_M = 5e-5
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `airspace`.
 
-    The parameters define the floor, the ceiling, the fence, the keep-out zones, and the borders of
-    the areas that the terrain data and the wind data cover.
-    Each `Parameter` states name, unit and meaning of a number, such as the height of the floor, and
-    how its value follows from a scenario.
+    They define floor, ceiling, fence, keep-out zones, and the borders of the terrain and wind data.
     """
     return _OF_ALL + (_OF_ZONES if scenario.airspace.keep_out else ())
 
@@ -112,18 +104,22 @@ def _edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
 
 
 def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
-    """Return the edges of the wind field that a flight may not leave, by name.
+    """Return the edges of the wind field that flights must not cross, by name.
 
-    The names are "west", "east", "south" and "north", and for a field over heights also "bottom"
-    and "top". Each value is a tuple: the axis (0 for x, 1 for y, 2 for z), the side (-1 for the
-    lower end, 1 for the upper) and the coordinate of the edge on the axis [m]. The result is empty
-    if the scenario has no wind field, or if flights may leave the wind field (`wind.beyond` is
-    "hold").
+    The result is empty if the scenario has no wind field, or if flights may leave the wind field
+    (`wind.beyond` is "hold").
 
     Parameters
     ----------
     scenario : Scenario
         The mission and its wind.
+
+    Returns
+    -------
+    dict
+        For each edge, its axis (0 for x, 1 for y, 2 for z), its side (-1 for the lower end of the
+        axis, 1 for the upper) and its coordinate on the axis [m]. The names are "west", "east",
+        "south" and "north". If the field varies with height, also "bottom" and "top".
 
     Examples
     --------
@@ -155,13 +151,8 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
     """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
 
-    If the distance is measured along one coordinate axis, the ball is a slab between two planes. If
-    it is measured along two or three axes, the ball is a cylinder or a sphere.
-
-    For a prism over a polygon, there is also a slab for each edge of the polygon, between two
-    vertical planes parallel to the edge. The distance is measured along the normal of the planes,
-    which may have any horizontal direction. For this slab, the returned axes are x and y, and the
-    returned centre is the point nearest to the origin among all points midway between the planes.
+    If the ball is an interval across an edge of a polygon, the axes are x and y. The centre is then
+    c n, with the unit vector n across the edge and the middle c of the interval along n.
 
     Returns
     -------
@@ -374,10 +365,8 @@ def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
 def _refuse_touching(scenario: Scenario) -> None:
     """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
 
-    The surface is the boundary of the places that the model forbids: the zone, its clearance, and
-    some places near its edges, which the model smooths. From a place on the surface, even the
-    smallest deviation towards the zone would be forbidden. A waypoint with a radius is not checked,
-    because the flight may pass beside the waypoint.
+    The surface includes the clearance and the smoothed edges of the zone. A waypoint with a radius
+    is not checked.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
@@ -401,9 +390,8 @@ def _refuse_touching(scenario: Scenario) -> None:
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the smoothed distance of a place from a zone, less the clearance [m].
 
-    The smoothing is that of the path constraint `keep_out`. The result is negative where the
-    constraint forbids the place, for example inside the zone. `clearance` is the distance that
-    flights must keep from zones [m], and `place` the position x, y, z [m].
+    The result is negative where the path constraint `keep_out` forbids the place. `clearance` [m]
+    is the distance kept from zones, and `place` the position x, y, z [m].
     """
     distances = [
         _distance_outside(

@@ -13,30 +13,20 @@ f_Q, f_R | capacity_factor, resistance_factor | - | state of health; only with b
 The module `battery_circuit` adds a slow voltage drop and a temperature of the pack if the scenario
 gives their constants. Derivation and sources: see docs/theory/battery.md, eqs. (1) to (6).
 
-P is the total power by the chosen power model. The power balance V i = P states that the pack
-delivers this power at its terminals. The integral of P, which is the energy of the flight, is
-therefore the energy that leaves the pack. Eq. (4) gives the charge in ampere-seconds; the model
-converts it to ampere-hours.
+P is the total power by the chosen power model, which the pack delivers at its terminals. Eq. (4)
+gives the charge in ampere-seconds; the model converts it to ampere-hours.
 
 Assumptions: no self-discharge, no entropic heat, and an open-circuit voltage that does not depend
 on the temperature. Without the scenario's table `battery.relaxation`, the voltage does not recover
 at rest. Without the table `battery.thermal`, the pack has no temperature.
 
-The paper's equations are undefined in two cases. Eq. (5) has a pole at SoC = 0. And the power
-balance has no solution if P exceeds the pack's greatest power U^2/(4 R), where U is the
-open-circuit voltage (less the relaxation voltage) and R the resistance of the pack.
-
-Two smooth lower limits, called guards, keep the equations finite. One guard limits the state of
-charge. The other limits the ratio of the power reserve to the greatest power. The power reserve,
-`power_reserve`, is the greatest power less the power drawn. If the state of charge is above 20 %
-and the power below 90 % of the greatest power, the effect of the guards is below rounding. If the
-state of charge or the power reserve is negative, the pack is too small for the mission.
-
-The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it exceeds
-the other terms of e_m before the pack is empty, so that e_m becomes negative. For these constants,
-the model has the path constraint e_m >= 0. An iterate of the solver may violate this constraint,
-and U may then be negative. So that the pack supplies no power there, the greatest power has the
-sign of U in the model: U |U|/(4 R).
+Eq. (5) has a pole at SoC = 0. The power balance has no solution if P exceeds the pack's greatest
+power U^2/(4 R), where U is the open-circuit voltage (less the relaxation voltage) and R the
+resistance of the pack. Two smooth lower limits, called guards, keep the equations finite. They
+limit the state of charge, and the ratio of `power_reserve` (greatest power less P) to the greatest
+power. Above a state of charge of 20 %, and below 90 % of the greatest power, their effect is below
+rounding. If the state of charge or the power reserve is negative, the pack is too small for the
+mission.
 """
 
 from pyomo.core import (
@@ -91,11 +81,7 @@ _CELL = (
 
 @parameters_in("battery")
 def _parameters(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the model of a scenario declares in its block `battery`.
-
-    Each `Parameter` states name, unit and meaning of a number, such as the capacity of a cell, and
-    how its value follows from a scenario.
-    """
+    """Return the parameters that the model of a scenario declares in its block `battery`."""
     return _CELL + circuit.parameters_of(scenario)
 
 
@@ -105,6 +91,8 @@ def may_lose_voltage(scenario: Scenario) -> bool:
     The voltage follows eq. (5) of Yacef et al. with the battery constants of the scenario. If the
     result is true, `declare_battery` declares a path constraint: the voltage is not negative.
     """
+    # The polarisation voltage k / SoC grows while the pack is discharged. For some constants, it
+    # exceeds the other terms of e_m before the pack is empty, so that e_m becomes negative.
     least_share = GUARD_FLOOR - DIP * GUARD_WIDTH
     return scenario.battery.K / least_share >= scenario.battery.E0
 
@@ -112,9 +100,8 @@ def may_lose_voltage(scenario: Scenario) -> bool:
 def build_pack(scenario: Scenario) -> ConcreteModel:
     """Build a model of the battery alone, which delivers a given power `power.load` [W].
 
-    The package `identification` simulates this model in time steps, to fit the constants of the
-    battery. In each step, it sets `power.load`, a single number, to the measured power of the
-    flight.
+    The package `identification` simulates this model in time steps. In each step, it sets
+    `power.load` to the measured power of the flight.
 
     Parameters
     ----------
@@ -179,10 +166,9 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
 def declare_loss(m: ConcreteModel) -> None:
     """Declare the energy lost inside the battery as a state, for missions that minimise the charge.
 
-    The energy lost is the integral of U_0 i - P, where U_0 is the open-circuit voltage at the start
-    of the flight, i the current and P the power delivered. The objective of these missions is the
-    energy delivered plus the energy lost. It therefore equals the integral of U_0 i, that is, U_0
-    times the charge drawn in flight. See docs/theory/battery.md, eqs. (11) to (12).
+    The energy lost is the integral of U_0 i - P, with the open-circuit voltage U_0 at the start,
+    the current i and the power P. Energy plus loss is U_0 times the charge drawn in flight:
+    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -214,8 +200,7 @@ def declare_loss(m: ConcreteModel) -> None:
 def _declare_sizes(b: Block) -> None:
     """Declare capacity [A h] and resistance [ohm] of the whole, possibly aged pack.
 
-    The state of health of an aged pack consists of two factors, one on the capacity of new cells
-    and one on their resistance. `b` is the block `battery`, which receives the two expressions.
+    `b` is the block `battery`, which receives the two expressions.
     """
     capacity = b.capacity * b.cells_parallel
     resistance = b.cell_resistance * b.cells_series / b.cells_parallel
@@ -259,7 +244,8 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
     @b.Expression(m.time, doc="greatest power the pack can deliver, at half its voltage [W]")
     def greatest_power(b: Block, t: float) -> NumericExpression:
-        # Negative, and therefore no usable power, where the open-circuit voltage is negative.
+        # U |U|/(4 R) in place of U^2/(4 R): an iterate of the solver may have U < 0, where the pack
+        # must supply no power.
         source = circuit.source_voltage(b, t)
         return source * abs(source) / (4 * circuit.resistance_at(b, t))
 
@@ -287,11 +273,9 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
     """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
 
-    The result is the charge drawn from the cell, divided by the capacity factor (capacity of the
-    aged cell over capacity of an unaged cell). It serves to compute the open-circuit voltage by eq.
-    (5) of Yacef et al., whose constants hold for an unaged cell. If the model has no capacity
-    factor, the result is the charge drawn. `b` is the block `battery`, and `t` the time in flight
-    [s].
+    If the model has `capacity_factor` (state of health), the result is the charge divided by it.
+    `b` is the block `battery`, and `t` the time in flight [s].
     """
+    # The constants of eq. (5) of Yacef et al. hold for an unaged cell.
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

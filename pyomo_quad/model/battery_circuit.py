@@ -61,8 +61,8 @@ LOSS = "battery.loss"
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of relaxation, temperature and health of a scenario's battery.
 
-    Each `Parameter` declares one number of the model's block `battery`, with unit and meaning. A
-    part without a table in the scenario, such as the relaxation voltage, has no parameters.
+    The parameters of a part are included only if the scenario has its table: `battery.relaxation`,
+    `battery.thermal` or `battery.health`.
     """
     pack = scenario.battery
     optional = ((pack.relaxation, _RELAXATION), (pack.thermal, _THERMAL), (pack.health, _HEALTH))
@@ -72,9 +72,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def states_at_start(scenario: Scenario) -> dict[str, float]:
     """Return the initial values of the battery's states other than its charge, by full name.
 
-    The states are the relaxation voltage [V], the temperature [K] and the energy lost inside the
-    battery [J]. A full name is a name such as "battery.temperature". A state that the model of the
-    scenario does not declare is left out.
+    The states are relaxation voltage [V], temperature [K] and energy lost [J], as far as the model
+    of the scenario declares them. A full name is a name such as "battery.temperature".
     """
     pack, states = scenario.battery, {}
     if pack.relaxation is not None:
@@ -117,9 +116,8 @@ def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, fl
 def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare relaxation voltage [V] and temperature [K] of the pack as states, if modelled.
 
-    The relaxation voltage is modelled if the scenario has the table `battery.relaxation`, the
-    temperature if the scenario has the table `battery.thermal`. The states are added to `b`, the
-    block `battery` of the model `m`.
+    The scenario's tables `battery.relaxation` and `battery.thermal` select them. The states are
+    added to `b`, the block `battery` of the model `m`.
     """
     pack = scenario.battery
     if pack.relaxation is not None:
@@ -144,9 +142,8 @@ def declare_states(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the differential equations of relaxation voltage and temperature, if modelled.
 
-    The initial condition of each state is declared, too. The relaxation voltage is modelled if the
-    scenario has the table `battery.relaxation`, the temperature if the scenario has the table
-    `battery.thermal`. The equations are added to `b`, the block `battery` of the model `m`.
+    The initial conditions are declared, too. The equations are added to `b`, the block `battery` of
+    the model `m`. See `declare_states` for the tables that select them.
     """
     if scenario.battery.relaxation is not None:
         b.relaxation_balance = Constraint(
@@ -214,10 +211,8 @@ def slow_resistance(b: Block, t: float) -> NumericExpression:
 def relaxation_balance(b: Block, t: float) -> RelationalExpression:
     """RC pair: the relaxation voltage tends to the battery current times the pair's resistance [V].
 
-    The RC pair (a resistor and a capacitor in parallel) models the slow part of the voltage drop.
-    The relaxation voltage is the voltage of the RC pair, and the result is the differential
-    equation of this voltage. `b` is the block `battery`, and `t` the time in flight [s]. See
-    docs/theory/battery.md, eq. (8).
+    The result is the differential equation of the relaxation voltage, docs/theory/battery.md, eq.
+    (8). `b` is the block `battery`, and `t` the time in flight [s].
     """
     settled = slow_resistance(b, t) * b.current[t]
     return (
@@ -248,9 +243,8 @@ def heat(b: Block, t: float) -> NumericExpression:
 def heat_balance(b: Block, t: float) -> RelationalExpression:
     """Lumped temperature: heat of the losses less the heat lost to the air [W].
 
-    The result is the differential equation of the temperature, which is equal in all cells: heat
-    capacity times dT/dt = heat of the losses - heat lost to the air. `b` is the block `battery`,
-    and `t` the time in flight [s]. See docs/theory/battery.md, eq. (10).
+    The result is the differential equation of the temperature, docs/theory/battery.md, eq. (10).
+    `b` is the block `battery`, and `t` the time in flight [s].
     """
     cells = b.cells_series * b.cells_parallel
     warming = cells * b.heat_capacity * b.dtemperature_dt[t]

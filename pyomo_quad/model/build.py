@@ -184,14 +184,9 @@ def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
 
-    The objective [J] is the energy of the flight plus these terms:
-
-    - the scenario's `mission.price_of_time` [W] times the duration [s], if the duration is free,
-    - the energy lost inside the pack, if the mission minimises the charge; see
-      docs/theory/battery.md, eq. (12).
-
-    `m` is the model, which already declares motion, wind and power. `scenario` gives the values and
-    selects the limits.
+    The objective [J] is the energy. If the duration is free, `mission.price_of_time` [W] times the
+    duration is added. If the mission minimises the charge, the energy lost inside the pack is
+    added; see docs/theory/battery.md, eq. (12). `m` already has motion, wind and power.
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)

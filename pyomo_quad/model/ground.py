@@ -7,20 +7,17 @@ z - U | height_limited_below | m | height above the surface U, limited by a floo
 z - L | height_limited_above | m | height above the surface L, limited by a ceiling
 
 z is the height coordinate of the vehicle. A floor is the least permitted height above the ground, a
-ceiling the greatest.
+ceiling the greatest. Over flat ground, both heights equal z, and no block is declared.
 
 The ground of `airspace.terrain` is bilinear between the points of its grid. U and L are splines
-through values on the same grid; the module `scenario.surfaces` computes the values. The class
-`collocation.Table` makes the splines available in Pyomo: they are twice differentiable with exact
-derivatives, and the cost of an evaluation is independent of the size of the grid. The greatest
-vertical distance between a surface and the ground is the attribute `excess` of the surface.
+through values on the same grid, which the module `scenario.surfaces` computes. The splines
+(`collocation.Table`) are twice differentiable with exact derivatives, and the cost of an evaluation
+is independent of the size of the grid.
 
-The height above the ground is at least z - U and at most z - L. If z - U >= floor, the height above
-the ground is therefore also at least the floor. Where z - U = floor, the height above the ground
-exceeds the floor by at most `excess`. In the same way, if z - L <= ceiling, the height above the
-ground is at most the ceiling.
-
-Over flat ground, both heights z - U and z - L equal z, and no block is declared.
+The height above the ground is at least z - U and at most z - L. With z - U >= floor, it is
+therefore at least the floor; with z - L <= ceiling, at most the ceiling. The attribute `excess` of
+a surface is its greatest vertical distance from the ground. Where z - U = floor, the height above
+the ground exceeds the floor by at most `excess`.
 """
 
 from typing import Any
@@ -39,11 +36,9 @@ _SURFACES = {1: ("above", "height_limited_below"), -1: ("below", "height_limited
 def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the heights of the vehicle above the terrain, if the scenario has terrain.
 
-    A floor is the least permitted height above the ground, a ceiling the greatest. The block
-    `ground` has two heights as expressions over time [m]. `height_limited_below`, for a floor, is
-    the height above a smooth surface that is nowhere below the ground. `height_limited_above`, for
-    a ceiling, is the height above a smooth surface that is nowhere above the ground. Without a
-    ceiling in the scenario, `height_limited_above` is not declared.
+    The heights `height_limited_below`, for a floor, and `height_limited_above`, for a ceiling, are
+    expressions over time in block `ground` [m]. The docstring of this module defines both.
+    `height_limited_above` is declared only if the airspace has a ceiling.
 
     Parameters
     ----------

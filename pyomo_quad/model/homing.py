@@ -11,17 +11,15 @@ q | charge_home | A h | charge of the return to the nearest home
 
 A home is a place at which the vehicle may land: the start of the mission, or a rally point.
 
-The return is a steady, level flight at one airspeed V. The pack delivers a constant current i. At
-the ground speed g = w + sqrt(V^2 - |wind|^2 + w^2), the distance d takes the time d / g. The charge
-of the return is (1 + margin) i d / g. Two assumptions are made: the wind on the whole return equals
-the wind at the vehicle, and climbing a metre takes as much charge as flying a metre. The margin
-covers the errors of these assumptions.
+The return is a steady, level flight at one airspeed V, with a constant current i of the pack. At
+the ground speed g = w + sqrt(V^2 - abs(wind)^2 + w^2), the charge is (1 + margin) i d / g.
+Assumptions, whose errors the margin covers: the wind on the whole return equals the wind at the
+vehicle, and climbing a metre takes as much charge as flying a metre.
 
-Over terrain, the return has three parts. The vehicle climbs vertically to the height H_k. It then
-flies level to the place above the home, and descends. H_k is the highest ground on the straight
-line to the home, plus the floor of the airspace (the least permitted height above the ground). The
-climb draws a current of its own, for the time that c_k takes at a given rate of climb. The distance
-is then the length of level flight and descent together, in place of d_k. See docs/theory/homing.md.
+Over terrain, the vehicle climbs vertically to the height H_k, flies level to the place above the
+home, and descends. H_k is the highest ground on the straight line to the home, plus the floor of
+the airspace. The climb draws a current of its own, at a given rate of climb. The distance d is then
+that of level flight and descent. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -85,8 +83,6 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of the return flight; empty for a mission without return reserve.
 
     The return reserve is the charge that a plan keeps for a flight to the nearest landing place.
-    Each `Parameter` declares one number of the model's block `homing`, such as the airspeed of the
-    return, the margin of charge and the positions of the landing places.
     """
     if not scenario.mission.return_reserve:
         return ()
@@ -99,14 +95,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def terrain_key(scenario: Scenario) -> Hashable:
     """Return the places of the homes if the compiled model depends on them, or None.
 
-    A home is the start of the mission or a rally point. If the scenario has terrain and keeps
-    charge for a return flight, the model contains a height table for each home. The table gives the
-    least height of a straight return to this home. The result is None for a model without height
-    tables.
-
-    The tables are constants of a compiled model, so that the model is valid only for the homes with
-    which it was built. The function `structure_key` therefore includes the result of this function
-    in its key. Scenarios with different homes then have separate compiled models.
+    With terrain and a return reserve, the model contains a height table for each home. The compiled
+    model is valid only for these homes. The result is therefore a part of `structure_key`.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
@@ -115,9 +105,8 @@ def terrain_key(scenario: Scenario) -> Hashable:
 def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the charge of a return flight in block `homing`, and the limit that reserves it.
 
-    A home is the start of the mission or a rally point. The limit holds at each time of the
-    mission: charge drawn so far + charge of the return to the nearest home <= usable charge. The
-    usable charge is the capacity of the pack less the least charge that must remain.
+    At each time, the charge drawn plus the charge of the return to the nearest home is at most the
+    usable charge: the capacity less the least charge that must remain.
 
     Parameters
     ----------
@@ -175,10 +164,8 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare height, climb and length of the return over terrain, for each home and time.
 
-    On the return to a home, the vehicle climbs, flies level, and descends above the home. The
-    expression `height_home` is the least height of the level flight [m]. `climb` is the climb from
-    the vehicle's height to `height_home`, or 0 if the vehicle is higher [m]. `way_flown` is the
-    length of level flight and descent together [m].
+    The expressions `height_home`, `climb` and `way_flown` [m] are eqs. (7) to (9) of
+    docs/theory/homing.md. `way_flown` is the length of level flight and descent.
 
     Parameters
     ----------

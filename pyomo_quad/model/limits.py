@@ -2,19 +2,18 @@
 
 The module declares the limits of eq. (10) of the paper (Yacef et al.), with two changes:
 
-- The paper prints |u_k| <= u_max for k = 1, 2, 3. But u_1 is the thrust, which has a limit of its
-  own, and the moments are u_2, u_3 and u_4. This module limits the moments.
+- The paper prints abs(u_k) <= u_max for k = 1, 2, 3. But u_1 is the thrust, which has a limit of
+  its own. This module limits the moments u_2, u_3 and u_4.
 - The rotor accelerations are limited, too. Without this limit, the problem with the paper's
   efficiency function has no minimum.
 
-The scenario's field `limits.reserve` is a fraction of the largest rotor speed and thrust. A plan
-leaves this fraction unused, so that the controller that follows the plan can use it. The reserve is
-declared only if the fraction is not zero.
+A plan leaves the fraction `limits.reserve` of the largest rotor speed and thrust unused, for the
+controller that follows the plan.
 
-If the time constant of the motors is not zero, the magnitude of the rotor acceleration is limited
-to (rotor_speed_max - speed) / time constant, where speed is the present rotor speed. This is the
-greatest acceleration of a motor with a first-order lag. As a simplification, the same limit applies
-while the rotor slows down.
+If the motors have a time constant, the magnitude of the rotor acceleration is at most
+(rotor_speed_max - speed) / time constant, where speed is the present rotor speed. A motor with a
+first-order lag cannot gather speed faster. As a simplification, the same limit applies while the
+rotor slows down.
 """
 
 from pyomo.core import Block, ConcreteModel, inequality, sqrt
@@ -56,19 +55,18 @@ _VALIDATED = fields_of(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `limits`.
 
-    Each `Parameter` states name, unit and meaning of a number, usually a bound, and how its value
-    follows from a scenario. A bound whose scenario field is None has no value and is not declared.
+    Most parameters are bounds. A bound whose scenario field is None is not declared.
     """
     validated = _VALIDATED if scenario.limits.within_validated else ()
     return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)
 
 
 def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None:
-    """Return parameter values without the reserve of rotor speed and thrust for the controller.
+    """Return parameter values with a reserve of zero, so that a flight may use full rotor speed.
 
-    The reserve limits plans only; the controller that flies a plan may use the full rotor speed and
-    thrust. `numbers` holds parameter values by full name. The result is a copy of `numbers` with a
-    reserve of zero. If `numbers` is None or has no reserve, it is returned unchanged.
+    `numbers` has the values by full name. The result is a copy in which `limits.reserve`, the share
+    of rotor speed and thrust kept for the controller, is 0. If `numbers` is None or has no reserve,
+    it is returned as it is.
     """
     reserve = f"limits.{_RESERVE}"
     return numbers | {reserve: 0.0} if numbers is not None and reserve in numbers else numbers
@@ -101,8 +99,8 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
     """Return the largest rotor speed [rad/s] or thrust [N] that a plan may use.
 
-    `most` is the largest rotor speed or thrust of the vehicle. The result is (1 - reserve) times
-    `most`, or `most` if the block has no parameter `reserve`. `b` is the block `limits`.
+    The result is (1 - reserve) `most`, with the vehicle's largest rotor speed or thrust `most`. If
+    the block `limits`, `b`, has no parameter `reserve`, the result is `most`.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -126,10 +124,8 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
     """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
 
-    The range is that of the measured flights with which the vehicle's model was validated. The
-    limits are the largest airspeed, the fastest climb and the fastest descent, each declared only
-    if the vehicle has a value for it. The scenario's field `limits.within_validated` requests them.
-    The limits are added to `b`, the block `limits` of the model `m`.
+    Measured flights give the range. A limit is declared only if `b`, the block `limits` of the
+    model `m`, has its parameter.
     """
     if b.component("validated_airspeed") is not None:
 

@@ -99,10 +99,10 @@ _HOVERING = (
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return the values of one field of the waypoints, such as their largest speeds.
+    """Return the values of one field of the waypoints, by the number of the waypoint from 0.
 
-    `field` is the name of the field. The keys of the result are the numbers of the waypoints, from
-    0. Waypoints at which the field has its default value need no parameter and are omitted.
+    Waypoints at which the field has its default value need no parameter and are omitted. `field` is
+    the name of the field, such as "radius".
     """
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
@@ -119,12 +119,13 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    Each `Parameter` states name, unit and meaning of one number, and how the number follows from a
-    scenario. The parameters are position and heading at start and goal, the conditions at waypoints
-    (such as radius, greatest speed and duration of a hover), and limits on the motion in a hover. A
-    mission with constant heading also has a limit on the yaw rate. A mission with a free duration
-    also has the least duration, the greatest duration, and `price_of_time` [W], a factor on the
-    duration in the objective.
+    The parameters are:
+
+    - place and heading at start and goal, and conditions at waypoints,
+    - limits during a hover, if the mission has a hover at a waypoint,
+    - a limit on the yaw rate, if the heading is constant,
+    - bounds of the duration and its price in the objective, `price_of_time` [W], if the duration
+      is free.
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -172,12 +173,11 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the Pyomo variables of all times that a plan chooses, by their nominal times [s].
 
-    The plan chooses the passing time of each waypoint, the end of each hover at a waypoint and, if
-    the duration is free, the duration. The time set of the model `m` contains a nominal time for
-    each of these variables: the value that `scenario` prescribes or estimates. Constraints at the
-    chosen time are declared at the nominal time. Keys of the result are the nominal times, values
-    the variables.
+    A plan chooses the passing times of waypoints, the ends of hovers and, if it is free, the
+    duration. The scenario has a nominal value of each, a member of the time set of the model `m`.
+    Constraints at a chosen time are declared at its nominal time.
     """
+    # Constraints at a chosen time are declared at its nominal time.
     *passages, end = scenario.nominal_times
     free: dict[float, Any] = {end: m.duration} if scenario.mission.is_free else {}
     for k in range(len(scenario.mission.waypoints)):
@@ -208,9 +208,8 @@ def chosen_times(
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare for each waypoint the time of its passage and the conditions at that time.
 
-    The conditions are on position, heading, speed and the duration of a hover. Apart from the
-    position, they are declared only for waypoints for which the scenario sets them. Variables and
-    conditions are added to `b`, the block `mission` of the model `m`.
+    The conditions are on position and, if the scenario sets them, on heading, speed and duration of
+    a hover. They are added to `b`, the block `mission` of the model `m`.
     """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
@@ -361,10 +360,8 @@ def _declare_end(
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
     """Return two constraints at the goal: yaw has its prescribed value, and body rate r is zero.
 
-    In a mission with constant heading, the constraint `yaw_keeping` makes the two constraints
-    redundant, and they are deactivated. The function `start_where_measured` deactivates
-    `yaw_keeping`, and then activates the two constraints again. `b` is the block `mission`, which
-    has the constraints.
+    If the constraint `yaw_keeping` is active, it implies both, and they are inactive. `b` is the
+    block `mission`, which has the constraints.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -383,10 +380,9 @@ def _declare_kept_yaw(b: Block, m: ConcreteModel) -> None:
 def start_where_measured(m: ConcreteModel) -> None:
     """Replace the conditions of a mission at the start by initial values of all states.
 
-    Replanning in flight starts at the measured states. The new block `start` has a mutable
-    parameter for each state, with the name of the state. A constraint equates the initial value of
-    the state to the parameter. The constraint that keeps the heading constant is deactivated: if a
-    gust has turned the vehicle, the vehicle must be free to turn back.
+    The new block `start` has a mutable parameter for each state, with the name of the state.
+    Replanning in flight sets the parameters to the measured states. A constant heading is no longer
+    required.
 
     Parameters
     ----------
@@ -442,16 +438,16 @@ def _start_measured(b: Block, start: float, state: Var) -> None:
 def end_in_equilibrium(m: ConcreteModel) -> None:
     """Replace the level hover at the goal by a steady hover, tilted against the wind.
 
-    Models for replanning in flight use this end condition, because the vehicle can stay at the goal
-    in a tilted hover. In a level hover, the wind accelerates the vehicle: a planned flight can be
-    level and at rest for an instant only, and a flight in a slightly different wind misses this
-    instant.
+    Models for replanning in flight use this end condition, because the vehicle can then stay at the
+    goal. In a level hover, the wind would accelerate it.
 
     Parameters
     ----------
     m : ConcreteModel
         Model that already declares `rigid_body`, `rotors` and `mission`.
     """
+    # The wind accelerates a vehicle in level hover. A planned flight is then level and at rest for
+    # an instant only, which a flight in a slightly different wind misses.
     for state in ("phi", "theta"):
         m.mission.goal_rest[state].deactivate()
     m.mission.goal_rotor_speed.deactivate()

@@ -96,11 +96,10 @@ def parameters_in(block_name: str) -> Callable[[Table], Table]:
 
 
 def parameter_tables(scenario: Scenario) -> Iterator[tuple[str, tuple[Parameter, ...]]]:
-    """Yield the name of each model block with registered parameters, and their declarations.
+    """Yield the name of each model block, and the declarations of its parameters.
 
-    A declaration, `Parameter`, states name, unit and meaning of a number in the block. The
-    declarations of a block come from the function that the decorator `parameters_in` has
-    registered.
+    The declarations are the result of the block's function that has the decorator `parameters_in`.
+    Blocks without such a function are left out.
     """
     for block_name, table in _TABLES.items():
         yield block_name, tuple(table(scenario))

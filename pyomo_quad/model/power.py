@@ -1,10 +1,9 @@
 """The electrical power of the rotors, by one of six models.
 
-Each model is a function that declares the power of every rotor. The power of a rotor may be
-negative while the rotor brakes. Without regeneration (`power.regeneration`), a negative power is
-replaced by zero, with a smooth transition. The energy of the flight is the integral over time of
-the power of all rotors, eq. (8) of the paper (Yacef et al.). The paper prints eq. (8) with a double
-sum: for each rotor, over the speeds of all rotors. The package uses a single sum over the rotors.
+Each model is a function that declares the power of every rotor. The energy of the flight is the
+integral over time of the power of all rotors, eq. (8) of the paper (Yacef et al.). The paper prints
+eq. (8) with a double sum: for each rotor, over the speeds of all rotors. The package uses a single
+sum over the rotors.
 
 Symbols in the table: v, i and tau are voltage, current and torque of a motor. omega is the rotor
 speed, alpha the rotor acceleration. eta is a constant efficiency. f_r is the efficiency of motor
@@ -18,23 +17,23 @@ constant_efficiency | tau omega / eta | yes | yes
 efficiency | tau omega / f_r(tau, omega) | no | no
 momentum | induced, profile and axial power, in moving air | yes | yes
 
-By default, braking returns energy in the models `motor`, `motor_with_friction`, `shaft` and
-`momentum`, whose energy balances hold for either direction of the energy flow. In the two models
-with an efficiency, braking returns no energy by default. These models divide the shaft power by the
-efficiency, also while braking. With regeneration, more energy would be returned than the braking
-rotor gives.
+The power of a rotor may be negative while the rotor brakes. Without regeneration
+(`power.regeneration`), zero replaces a negative power, with a smooth transition. Regeneration is
+the default of the models whose energy balance holds for either direction of the energy flow. It is
+not the default of the two models with an efficiency: they divide by the efficiency, and would
+return more energy than the braking rotor gives.
 
 Alternating acceleration and braking of the rotors saves no energy, except in the model
 `efficiency`: see docs/theory/bound.md, eqs. (5) and (6).
 
-The rest of this text describes the model `momentum`, which consists of momentum theory, blade drag
-and the power of climb, all in moving air. For its derivation and validated range see
-docs/theory/momentum_power.md, eqs. (1) to (6). T is the thrust of all rotors together:
+The model `momentum` consists of momentum theory, blade drag and the power of climb, all in moving
+air. For its derivation and validated range see docs/theory/momentum_power.md, eqs. (1) to (6). T is
+the thrust of all rotors together:
 
 symbol | name | unit | meaning
 v_i | induced_velocity | m/s | velocity that the rotors add to the air, equal for all rotors
 v_a | axial_airspeed | m/s | airspeed along the thrust, positive in climb
-v_p | in_plane_airspeed | m/s | airspeed across the thrust
+v_p^2 | in_plane_airspeed_squared | m2/s2 | square of the airspeed across the thrust
 v_h | | m/s | v_i of hover, v_h^2 = T / (2 rho A)
 k_i | induced_power_factor | - | induced power over the power of an ideal rotor
 c_0 | profile_power_coefficient | - | profile power in hover over T^(3/2) / sqrt(rho A)
@@ -43,28 +42,16 @@ k_c, k_d | climb_power_factor, descent_power_factor | - | power over T v_a, in c
 P_e | electronics_power | W | power drawn by all but the motors
 rho, A | air_density, disc_area | kg/m3, m2 | of the air and of all discs together
 
-Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. For a rotor that descends
-into its own wake, momentum theory is not valid, and the equation may have three solutions. In
-descent, a term a v_a^2 is therefore added under the root, with a constant a. (The page
-docs/theory/momentum_power.md calls this constant tau; it is not a torque.) With a >= 1/8 there is
-exactly one solution. The package uses a = 1/7.67. The result is compared with the curve that
-Leishman (2006), eq. (2.96), fits to measurements on descending rotors. v_i stays within 0.13 v_h of
-this curve down to v_a = -0.5 v_h, and within 0.4 v_h down to v_a = -1.5 v_h. Beyond v_a = -1.66 v_h
-the air flows upwards through the rotor.
+Induced velocity: Glauert (1926), v_i sqrt(v_p^2 + (v_a + v_i)^2) = v_h^2. In descent, the term
+v_a^2 / 7.67 is added under the root: any factor of at least 1/8 gives exactly one solution. The
+result is close to Leishman (2006), eq. (2.96), a fit to measurements on descending rotors.
 
-Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2), with the advance ratio mu =
-v_p / (omega R) and the radius R of a rotor. The model computes P_0 for each rotor, with the thrust
-and disc area of that rotor. In hover, P_0 follows from the thrust alone, so that c_0 is valid for
-any payload and density. K = 4.65 is Bennett's, in Leishman (2006), section 5.4.
+Profile power: P_0 = c_0 T^(3/2) / sqrt(rho A) (1 + K mu^2) for each rotor, with the thrust and disc
+area of that rotor. The advance ratio is mu = v_p / (omega R), with the radius R of a rotor. K =
+4.65 is Bennett's, in Leishman (2006), section 5.4.
 
 Accelerating a rotor of inertia I_r takes the power I_r omega alpha, which becomes kinetic energy of
 the rotor, plus the copper loss due to the torque I_r alpha.
-
-The model is validated with 120 flights of a DJI Matrice 100: payloads of 0 to 0.5 kg, airspeeds to
-16 m/s, climb to 4 m/s, descent to 3.5 m/s (`reports/m100`). Faster descent is theory only. In
-cruise at 1 to 4 m/s the measured power is some 14 W above this model. An additional term, which
-raises the induced power by 4 % at about 3 m/s, was fitted but left out: it increased the
-out-of-sample error from 1.86 % to 1.89 %.
 """
 
 from collections.abc import Callable
@@ -132,22 +119,17 @@ _SMOOTHING = "smoothing"
 
 @parameters_in("power")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's power model declares in block `power`.
-
-    Each `Parameter` states name, unit and meaning of a number, such as a coefficient of the power
-    model, and how its value follows from a scenario.
-    """
+    """Return the parameters that the scenario's power model declares in block `power`."""
     guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
     return (*_NUMBERS.get(scenario.power.model, ()), *guard)
 
 
 def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
-    """Return parameter values that smooth the kink in a rotor's power at zero more strongly.
+    """Return parameter values for solves in which a rotor's power is smoothed over larger widths.
 
-    Without regeneration, a rotor that brakes returns no energy: its power is max(P, 0). The model
-    smooths the kink at P = 0 over the scenario's width `power.smoothing` [W]. A solve with a larger
-    width converges more easily. Its solution is then the initial guess for a solve with a smaller
-    width. Each item of the result sets one larger width; the largest comes first.
+    Without regeneration, the power is max(P, 0), whose kink at P = 0 is rounded over a width. A
+    solve with a large width converges easily, and its solution is the initial guess for the next
+    width. The largest width comes first.
 
     Returns
     -------
@@ -219,9 +201,8 @@ def _power_of_each_rotor(
 ) -> Callable[[_RotorRule], _RotorRule]:
     """Return a decorator for the Pyomo rule of the power of each rotor, `power.<name>` [W].
 
-    The rule takes the block `power`, the rotor's number and the time, and returns the power. The
-    decorator adds an expression with this rule, over rotors and time, to the model `m`. `name` is
-    the name of the expression, `doc` its documentation text.
+    The rule takes the block `power`, the rotor's number and the time. The decorator adds an
+    expression with this rule and the text `doc` to the model `m`.
     """
 
     def declare(rule: _RotorRule) -> _RotorRule:
@@ -234,11 +215,9 @@ def _power_of_each_rotor(
 def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
-    Voltage and current follow from eqs. (2) and (3) of the paper (Yacef et al.). The model is valid
-    at all speeds and torques of the motor. The copper loss grows with the square of the torque. The
-    power is therefore convex in the rotor acceleration alpha and in thrust. If regeneration is
-    enabled, a braking rotor returns its shaft power less the copper loss in the winding. Because
-    the model has no profile drag, its hover power is half the hover power of a real aircraft.
+    Voltage and current are eqs. (2) and (3) of Yacef et al., valid at all speeds and torques. With
+    regeneration, a braking rotor returns its shaft power less the copper loss. The profile drag of
+    the rotors counts only as far as the vehicle's `drag_torque_coefficient` includes it.
 
     Parameters
     ----------
@@ -253,6 +232,8 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     def terminal_voltage(b: Block, j: int, t: float) -> NumericExpression:
         return b.parent_block().rotors.motor_voltage[j, t]
 
+    # Convex in the rotor acceleration and in thrust, because the copper loss grows with the square
+    # of the torque; see docs/theory/bound.md, eq. (5).
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (2)-(3): electrical power v i [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
@@ -262,10 +243,8 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
 def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
-    Motor and converter have no loss. If regeneration is enabled, a braking rotor returns its full
-    shaft power. The shaft power is therefore a lower bound of the power in every other model. It is
-    convex in thrust (exponent 3/2) and linear in the rotor acceleration. Because of the linearity,
-    the rotor acceleration needs a bound.
+    Motor and converter have no loss. With regeneration, a braking rotor returns its full shaft
+    power. The power is linear in the rotor acceleration, which therefore needs a bound.
 
     Parameters
     ----------
@@ -275,6 +254,8 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
         Name of the expression in block `power` that gives the power of each rotor over time [W].
     """
 
+    # Convex in thrust (exponent 3/2). For a driven rotor, it is a lower bound of the power by a
+    # model with an efficiency and, if the motor constants have k_t k_v = 1, by the motor models.
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8) with f_r = 1: shaft power [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
@@ -305,18 +286,10 @@ def declare_constant_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
-    f_r is the efficiency polynomial of the paper (Yacef et al.) in torque tau and rotor speed
-    omega. Its coefficients were recovered from two public re-implementations of the paper's model.
-
-    Below some 780 rad/s, f_r is zero at moderate braking torques, where the power has poles. To
-    avoid the poles, the model has two smooth lower limits, both parameters of block `power`:
-    `torque_floor` limits the torque at which f_r is evaluated, and `efficiency_floor` limits the
-    value of f_r. Without regeneration, braking returns no energy and the power is never negative.
-
-    The power is not convex in the rotor acceleration. Below 858 rad/s, a rotor that alternates
-    between acceleration and coasting takes less energy than a rotor at constant speed. The bound on
-    the rotor acceleration limits the amplitude of the alternation, and the mesh limits its
-    frequency. The optimum therefore depends on this bound and on the mesh.
+    f_r is the efficiency polynomial of Yacef et al., recovered from two public re-implementations.
+    The torque in f_r has the smooth lower limit `torque_floor`, and the value of f_r the smooth
+    lower limit `efficiency_floor`. The optimum depends on the mesh and on the bound on the rotor
+    acceleration.
 
     Parameters
     ----------
@@ -327,6 +300,8 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """
     b = m.power
 
+    # Below some 780 rad/s, f_r is zero at moderate braking torques. The lower limits of torque and
+    # f_r avoid the poles of the power there.
     @b.Expression(m.rotors.rotor, m.time, doc="torque at which f_r is read [N m]")
     def map_torque(b: Block, j: int, t: float) -> NumericExpression:
         torque = b.parent_block().rotors.motor_torque[j, t]
@@ -350,6 +325,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     def drive_efficiency(b: Block, j: int, t: float) -> NumericExpression:
         return floored(b.efficiency_polynomial[j, t], b.efficiency_floor, EFFICIENCY_FLOOR_WIDTH)
 
+    # Not convex in the rotor acceleration: below 858 rad/s, a rotor that alternates between
+    # acceleration and coasting takes less energy than at constant speed. The bound on the
+    # acceleration limits the amplitude of the alternation, and the mesh limits its frequency.
     @_power_of_each_rotor(m, name, doc="Yacef et al., eq. (8): shaft power over f_r [W]")
     def electrical_power(b: Block, j: int, t: float) -> NumericExpression:
         rotors = b.parent_block().rotors
@@ -359,11 +337,8 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
 def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor_with_friction`: voltage times current of each motor.
 
-    The motor's torque includes dry and viscous friction. The current follows from this torque, and
-    the voltage from current and rotor speed. The model follows Morbidi et al. (2016). The power is
-    convex in the rotor acceleration. It is not convex in thrust: because of the friction, it is
-    concave in thrust at small thrust. The published friction constants seem ten times too high:
-    with them, hover takes 1.3 kW.
+    The motor's torque includes dry and viscous friction, as in Morbidi et al. (2016). Because of
+    the friction, the power is concave in thrust at small thrust.
 
     Parameters
     ----------
@@ -377,6 +352,7 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
     @b.Expression(m.rotors.rotor, m.time, doc="motor torque with friction [N m]")
     def torque_with_friction(b: Block, j: int, t: float) -> NumericExpression:
         m = b.parent_block()
+        # The published constants seem ten times too high: with them, hover takes 1.3 kW.
         friction = m.vehicle.friction_torque + m.vehicle.viscous_damping * m.rotors.omega[j, t]
         return m.rotors.motor_torque[j, t] + friction
 
@@ -399,9 +375,7 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 def _declare_floor(m: ConcreteModel) -> None:
     """Declare the power of each rotor as a smooth max(P, 0), for a mission without regeneration.
 
-    P is the power of a rotor by the chosen power model. P is negative if the rotor brakes, but
-    without regeneration braking returns no energy. `m` is the model, whose block `power` already
-    has P as an expression.
+    P is the expression `uncredited_power`, which the block `power` of the model `m` already has.
     """
     b = m.power
 

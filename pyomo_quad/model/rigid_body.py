@@ -14,9 +14,9 @@ phi', theta', psi' | p, q, r | rad/s | body rates (the paper equates them to the
 - `paper` has the equations of Yacef et al. The Euler rates equal the body rates, correct to first
   order in the tilt. The yaw balance omits the reaction to the rotors' acceleration.
 
-The gyroscopic terms of the rotors follow eq. (6); eq. (9) prints them with another sign and another
-order of derivative. The balances have the form of eq. (6): mass times acceleration equals the
-forces, and moment of inertia times angular acceleration equals the moments.
+The balances have the form of eq. (6): mass times acceleration equals the forces, and moment of
+inertia times angular acceleration equals the moments. The gyroscopic terms of the rotors follow eq.
+(6); eq. (9) prints them with another sign and another order of derivative.
 """
 
 from collections.abc import Callable
@@ -99,8 +99,8 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
     """Return a Pyomo rule for the initial guess of a state: linear in time from start to goal.
 
-    `start` and `goal` are the values of the state at the start and at the goal, in the state's
-    unit. `duration` [s] is the duration of the flight in the guess.
+    `start` and `goal` are values in the state's unit, and `duration` is the duration of the flight
+    [s].
     """
     return lambda _b, t: start + (goal - start) * t / duration
 
@@ -157,8 +157,8 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
 def turning(b: Block, t: float) -> NumericExpression:
     """Return dpsi/dt cos(theta) [rad/s], for the yaw angle psi and the pitch angle theta.
 
-    In terms of the body rates, the result is q sin(phi) + r cos(phi). A mission with constant
-    heading limits its magnitude. `b` is the block `rigid_body`, and `t` the time in flight [s].
+    In terms of the body rates, it is q sin(phi) + r cos(phi). `b` is the block `rigid_body`, and
+    `t` the time in flight [s]. If the heading is constant, a constraint limits the magnitude.
     """
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 

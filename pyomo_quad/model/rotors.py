@@ -32,14 +32,11 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
     The result depends on the rotor layout:
 
-    - For a standard cross of four rotors, the result is usually empty, because eq. (7) of Yacef et
-      al. contains the geometry of the cross.
-    - For a standard cross with rotor drag or translational lift, the result has the positions,
-      because these forces depend on the airspeed at each rotor.
-    - For any other layout, the result has the positions and the directions of rotation.
-
-    Each `Parameter` states name, unit and meaning of a number, and how its value follows from a
-    scenario.
+    - Standard cross of four rotors: usually empty, because eq. (7) of Yacef et al. contains the
+      geometry of the cross.
+    - Standard cross with rotor drag or translational lift: the positions, because these forces
+      depend on the airspeed at each rotor.
+    - Any other layout: the positions and the directions of rotation.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -111,10 +108,9 @@ _NOMINAL_ACCELERATION = 1e3
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
 
-    Speeds are states and accelerations are controls. The mixer gives the total thrust [N], the
-    moments about the body axes [N m] and the speed imbalance [rad/s]. The speed imbalance is the
-    sum of the rotor speeds, each with the sign of its direction of rotation. The gyroscopic moments
-    are proportional to the speed imbalance.
+    Speeds are states and accelerations are controls. The mixer gives total thrust [N], moments
+    about the body axes [N m], and the speed imbalance [rad/s]: the sum of the rotor speeds, signed
+    by the direction of rotation.
 
     Parameters
     ----------
@@ -180,13 +176,10 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
-    """Declare thrust and moments for any planar rotor layout.
+    """Declare thrust, moments and speed imbalance for any planar rotor layout.
 
-    Thrust and moments are sums over the rotors. They depend on the position and the direction of
-    rotation of each rotor. The function also declares the speed imbalance: the sum of the rotor
-    speeds, each with the sign of its direction of rotation. All are expressions over time in `b`,
-    the block `rotors` of the model `m`. For a standard cross of four rotors, they equal eq. (7) of
-    Yacef et al.
+    The expressions over time are added to `b`, the block `rotors` of the model `m`. For a standard
+    cross of four rotors, they equal eq. (7) of Yacef et al.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

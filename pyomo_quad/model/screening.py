@@ -24,7 +24,7 @@ from pyomo.repn import generate_standard_repn
 
 
 class Severity(StrEnum):
-    """Severity of a finding. A finding is the result of a check of a model or scenario.
+    """Severity of a finding, the result of a check of a model or scenario.
 
     - `IMPOSSIBLE`: no flight can satisfy the model or scenario.
     - `UNPHYSICAL`: numbers of the vehicle contradict physics.
@@ -167,9 +167,8 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
     """Return the intervals of values that a model permits for each variable, by its name.
 
-    The bounds of a variable of `model` give one interval. Each linear inequality constraint with
-    this variable alone gives a further interval. If the intervals of a variable have no common
-    value, the limits contradict each other.
+    The bounds of a variable give one interval. Each linear inequality constraint with this variable
+    alone gives a further interval.
     """
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):

@@ -2,7 +2,7 @@
 
 Replanning in flight uses soft limits, so that a plan exists even if the measured state already
 violates a limit. The physical limits of rotors (speed, acceleration, thrust, moments) and pack
-(greatest power) stay hard.
+(greatest power) stay hard: they always permit some flight.
 
 symbol | name | unit | meaning
 s_k | most[k] | unit of limit k | largest violation of limit k over time
@@ -10,10 +10,8 @@ s+_j, s-_j | above[j], below[j] | unit of condition j | violations of condition 
 rho | price | J/unit | penalty per unit of violation
 
 A limit g(t) <= u over time becomes g(t) - s <= u with one s >= 0. A condition h = c becomes h = c +
-s+ - s-. The objective grows by rho times the sum of all s, s+ and s-. The softened problem always
-has a solution, because the hard limits of rotors and pack always permit some flight. If rho is
-large enough and a flight without violation exists, all violations are zero; see
-docs/theory/soft_limits.md.
+s+ - s-. The objective grows by rho times the sum of all s, s+ and s-. For a large rho, all
+violations are zero if a flight without violation exists; see docs/theory/soft_limits.md.
 """
 
 from typing import Any
@@ -76,9 +74,8 @@ BREACHES = ("soft.most", "soft.above", "soft.below")
 def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
-    A violation of one unit (such as 1 m) costs the energy that lifts the vehicle by 300 m. This
-    penalty exceeds the Lagrange multipliers of most limits. If it exceeds the multipliers of all
-    limits, the penalty is exact: a plan keeps all limits whenever this is possible.
+    A violation of one unit (such as 1 m) costs the energy that lifts the vehicle by 300 m. For the
+    penalty above which no avoidable violation remains, see docs/theory/soft_limits.md, eq. (2).
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
@@ -86,9 +83,8 @@ def usual_price(scenario: Scenario) -> float:
 def soften(m: ConcreteModel, scenario: Scenario) -> None:
     """Replace limits and end conditions of a model by soft constraints, in block `soft`.
 
-    A soft constraint may be violated at a penalty. The sum of all violations, times the penalty per
-    unit, is added to the objective. The limits of the rotors and the greatest power of the pack
-    stay hard.
+    The sum of all violations, times the penalty per unit, is added to the objective. The limits of
+    the rotors and the greatest power of the pack stay hard.
 
     Parameters
     ----------
@@ -123,9 +119,8 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 def _soften_limit(b: Block, limit: Constraint) -> None:
     """Replace a path constraint by a soft constraint for each of its bounds, lower and upper.
 
-    `limit` is the path constraint; it is deactivated. The soft constraints are added to `b`, the
-    block `soft`. This block already has the variable `most`, the largest violation over time, which
-    both soft constraints use.
+    Both contain the same variable `most[limit.name]` of `b`, the block `soft`: the largest
+    violation of the constraint over time. The original constraint `limit` is deactivated.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)

@@ -16,18 +16,12 @@ With a = V / L, each filter has one of two state forms (see docs/theory/risk.md,
     xi_1' = -a xi_1 + sqrt(a) n,  xi_2' = a (xi_1 - xi_2),
                                           v, w = sigma (sqrt(3) xi_1 + (1 - sqrt(3)) xi_2)
 
-MIL-HDBK-1797 defines L_v and L_w as half of the lengths in MIL-F-8785C, but has 2 L in place of L
-in the filters of v and w. At low altitude, the two specifications therefore give the same spectra.
+V is the airspeed, with the lower limit sigma_u: Taylor's hypothesis of frozen gusts holds only if
+the vehicle crosses a gust faster than the gust changes, L / V < L / sigma.
 
-V is the airspeed, with the lower limit sigma_u. The reason for the limit: the filters treat gusts
-as frozen (Taylor's hypothesis), but a gust changes in a time of about L / sigma (Tennekes and
-Lumley, 1972, section 1.5). The vehicle crosses a gust in the time L / V. The hypothesis holds only
-if L / V < L / sigma, that is, if V > sigma.
-
-The axes of the gusts are horizontal and vertical, as in the specification at low altitude. One
-horizontal axis has the constant direction of the mission's mean relative wind. Axes along the
-present airspeed would turn the gusts whenever the vehicle turns. Turbulence acts on simulated
-flights only; plans are made without turbulence.
+The gust axes are horizontal and vertical. One horizontal axis has the constant direction of the
+mission's mean relative wind. MIL-HDBK-1797 gives the same spectra at low altitude. Turbulence acts
+on simulated flights only; plans are made without turbulence.
 """
 
 from collections.abc import Callable, Sequence
@@ -145,9 +139,8 @@ def vertical_deviation(wind_at_6_m: Any) -> Any:
 def horizontal_deviation(wind_at_6_m: Any, height: Any) -> Any:
     """Return the standard deviation sigma_u = sigma_v of gusts [m/s]: MIL-F-8785C, figure 11.
 
-    sigma_u and sigma_v are the standard deviations of the gusts along two horizontal axes.
-    `wind_at_6_m` is the mean wind at 6 m above the ground [m/s], and `height` the height above the
-    ground [m] at which the gusts act.
+    The gusts are along two horizontal axes. `wind_at_6_m` is the mean wind at 6 m above the ground
+    [m/s], and `height` the height above the ground at which the gusts act [m].
     """
     return vertical_deviation(wind_at_6_m) / (0.177 + 0.000823 * height / _FOOT) ** 0.4
 
@@ -173,10 +166,8 @@ def transverse_gust(deviation: Any, state: Any, lag: Any) -> Any:
 def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
     """Return the time derivative [1/s] of the state xi_1 of a Dryden shaping filter.
 
-    The filter turns white noise into gusts; xi_1 is dimensionless. `rate` is a = V / L [1/s],
-    where V is the speed at which the vehicle crosses the gusts, and L is the length scale of the
-    turbulence. `state` is xi_1, and `noise` is white noise of unit intensity [1/s^(1/2)]. The
-    stationary variance of xi_1 is 1/2.
+    `rate` is a = V / L [1/s], the crossing speed over the length scale. `state` is xi_1, and
+    `noise` is white noise of unit intensity [1/s^(1/2)]. The stationary variance of xi_1 is 1/2.
     """
     return -rate * state + root(rate) * noise
 
@@ -184,9 +175,8 @@ def filter_rate(rate: Any, state: Any, noise: Any) -> Any:
 def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
     """Return the time derivative [1/s] of the state xi_2 of a Dryden shaping filter.
 
-    The filter turns white noise into transverse gusts. It has two dimensionless states: `state` is
-    xi_1, and `lag` is xi_2, which lags xi_1. `rate` is a = V / L [1/s], where V is the speed at
-    which the vehicle crosses the gusts, and L is the length scale of the turbulence.
+    `rate` is a = V / L [1/s], the crossing speed over the length scale. `state` is xi_1, and `lag`
+    is xi_2, which lags xi_1.
     """
     return rate * (state - lag)
 
@@ -194,9 +184,8 @@ def lag_rate(rate: Any, state: Any, lag: Any) -> Any:
 def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     """Add Dryden turbulence and an error of the wind forecast to the wind of a model.
 
-    The wind velocity along each world axis becomes the sum of mean wind and gust. Along the
-    horizontal axes, the forecast error `wind.error` [m/s] is added, too, a mutable parameter with
-    the initial value zero. The gusts are declared in block `wind.turbulence`.
+    The wind becomes mean wind plus gust, from block `wind.turbulence`. The horizontal wind also has
+    the forecast error `wind.error` [m/s], a mutable parameter, initially zero.
 
     Parameters
     ----------
@@ -226,9 +215,8 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
     """Declare height, standard deviations, crossing speed and rates V / L of the filters.
 
-    The height is the vehicle's height above the ground, clipped to the range for which the
-    specification holds. V is the crossing speed, and L a length scale of the turbulence. All are
-    expressions over time in `b`, the block `wind.turbulence` of the model `m`.
+    The height is clipped to the range for which the specification holds. All are expressions over
+    time in `b`, the block `wind.turbulence` of the model `m`.
     """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
@@ -417,9 +405,9 @@ class Gusts:
     def steps(self, duration: float) -> dict[str, Steps]:
         """Return the white noise of a flight as step functions of time, by full parameter name.
 
-        A full name is a name such as "wind.turbulence.noise_along". There is one parameter for each
-        of the three filters. Each step function has one value [1/s^(1/2)] per time step of length
-        `NOISE_STEP` [s]. `duration` is the duration of the flight [s].
+        Each of the three filters has one parameter, such as "wind.turbulence.noise_along", with one
+        value [1/s^(1/2)] per step of `NOISE_STEP` [s]. `duration` is the duration of the flight
+        [s].
         """
         columns = self.noise(duration).T
         return {

@@ -52,9 +52,7 @@ _PARAMETERS = (
 def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of block `vehicle`, including the payloads released at waypoints.
 
-    Each `Parameter` is a declaration: it states name, unit and meaning of a number, and how the
-    value of the number follows from a scenario. The declarations are the same for every scenario;
-    the argument `_scenario` is not used.
+    The declarations are the same for every scenario; the argument `_scenario` is not used.
     """
     return _PARAMETERS
 
@@ -62,9 +60,8 @@ def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the vehicle's parameters and the releases of payloads in block `vehicle`.
 
-    The parameter `is_left` represents the release of a payload at a waypoint over time: it is 0
-    until the vehicle leaves the waypoint, and 1 afterwards. `is_left` is declared only if a payload
-    is released.
+    If a payload is released, the parameter `is_left` over time is 0 until the vehicle leaves the
+    waypoint, and 1 afterwards.
 
     Parameters
     ----------

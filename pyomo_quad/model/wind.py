@@ -6,32 +6,28 @@ A_k, Omega_k | amplitudes[k], frequencies[k] | m/s, rad/s | three harmonics
 v_gmax, T_g | gust_amplitude, gust_period | m/s, s | gust
 t | wind_time | s | wind time: time in flight plus the scenario's offset
 
-If the scenario has a profile, the horizontal wind is the wind at the reference height h_r times a
-factor:
+The gust of eq. (12) peaks at v_gmax a quarter of a period after its start. With a profile, the
+horizontal wind is the wind at the reference height h_r times a factor:
 
 law | factor at height h | source
 power | (h / h_r)^exponent | Justus and Mikhail (1976)
 logarithmic | ln(h / z_0) / ln(h_r / z_0), of roughness z_0 | Stull (1988), section 9.7
 
-h is the vehicle's height above the ground. Over flat ground, h is z. Over terrain, h is the height
-over a smooth surface that is nowhere below the ground (see `model.ground`).
+h is the vehicle's height above the ground: z over flat ground, and over terrain the height over a
+smooth surface that is nowhere below the ground (see `model.ground`). Both laws are valid only above
+a lowest height, max(0.1 m, z_0). In place of h, they use a smooth maximum of h and the lowest
+height, so that the wind below is constant. The smooth maximum increases with h. It equals h to
+1e-12 m at half a metre above the lowest height.
 
-Both laws are valid only above a lowest height: max(0.1 m, z_0). Below the lowest height, the wind
-is constant: in place of h, both laws use a smooth maximum of h and the lowest height. The smooth
-maximum increases with h. If h is at least half a metre above the lowest height, it equals h to
-1e-12 m.
+A wind measured over heights is a cubic spline in the height above the ground, constant below the
+lowest and above the highest measurement, with a smooth transition. (In a wind field, however,
+heights are coordinates z.)
 
-A wind measured over heights is a cubic spline through the measurements. Below the lowest and above
-the highest measurement the wind is constant, with a smooth transition. The heights of the
-measurements are heights above the ground. (In a wind field, however, heights are coordinates z.)
-
-A wind measured over time is a cubic spline in the wind time through the measurements. After the
-last measurement the wind is constant. The wind is twice differentiable with respect to time. The
-duration and the passing times of waypoints may therefore be variables of the optimisation.
+A wind measured over time is a cubic spline in the wind time, constant after the last measurement.
+It is twice differentiable, so that the duration and the passing times of waypoints may be variables
+of the optimisation.
 
 A wind that varies from place to place is declared in `wind_field`.
-
-The gust of eq. (12) peaks at v_gmax a quarter of a period after its start.
 """
 
 from collections.abc import Callable, Sequence
@@ -108,22 +104,17 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 def _least_height(wind: Wind) -> float:
     """Return the lowest height above ground at which the wind of a scenario is defined [m].
 
-    For a wind measured over heights, the result is the lowest of the measured heights. For a wind
-    profile, the result is max(0.1 m, roughness length), because the logarithmic law is not valid
-    below the roughness length.
+    The result is the lowest measured height or, for a wind profile, max(0.1 m, roughness length).
     """
     if wind.profile is not None:
+        # The logarithmic law is not valid below the roughness length.
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
     return _measured_heights(wind)[0]
 
 
 @parameters_in("wind")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters of block `wind`, which depend on the scenario's kind of wind.
-
-    Each `Parameter` states name, unit and meaning of a number, such as the exponent of a wind
-    profile, and how its value follows from a scenario.
-    """
+    """Return the parameters of block `wind`, which depend on the scenario's kind of wind."""
     wind = scenario.wind
     return (
         *(() if wind.grid is None else (FIELD_UNIT,)),
@@ -148,9 +139,11 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    For a wind with a profile, the result is the wind at the reference height. For a wind that was
-    measured at several heights, the result is the wind at 10 m above the ground (the constant
-    `USUAL_HEIGHT`). For a wind field, the result is the mean over all places that have wind.
+    The kind of wind determines where the mean is taken:
+
+    - wind profile: at the reference height,
+    - wind measured at several heights: at 10 m above the ground (`USUAL_HEIGHT`),
+    - wind field: over all places with wind.
     """
     wind = scenario.wind
     if wind.grid is not None:
@@ -254,8 +247,8 @@ def _of_field(part: Expression, _b: Block, t: float) -> NumericExpression:
 def _declare_height(b: Block, m: ConcreteModel) -> None:
     """Declare the height above ground at which the wind is evaluated, with a smooth lower limit.
 
-    The height is an expression over time in `b`, the block `wind` of the model `m`. Its lower limit
-    is the lowest height at which the scenario's wind is defined.
+    The limit is the parameter `least_height`. The height is an expression over time in `b`, the
+    block `wind` of the model `m`.
     """
 
     @b.Expression(m.time, doc="height above the least height [m]")
@@ -270,8 +263,8 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
     """Declare the ratio of the wind at the vehicle's height to the wind at the reference height.
 
-    The ratio is an expression over time in `b`, the block `wind` of the model `m`. `law` selects
-    the power law or the logarithmic law, which the docstring of this module gives.
+    The ratio is an expression over time in `b`, the block `wind` of the model `m`. The docstring of
+    this module has the two laws.
     """
 
     def power(b: Block, t: float) -> NumericExpression:
@@ -300,12 +293,9 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    A full name is a name such as "wind.x.mean". The result has every mutable parameter of block
-    `wind` that is a speed, including parameters that a user has added. Its value is zero or, for a
-    parameter over time, a function of time that returns zero. `m` is the mission's model.
-
-    A wind without a mutable parameter that is a speed, for example a user's own wind with constant
-    numbers, keeps its speed.
+    A value is zero or, for a parameter over time, a function that returns zero. A full name is a
+    name such as "wind.x.mean". If a user's own wind has no mutable parameters with the unit of a
+    speed, it is not changed.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -373,8 +363,8 @@ def _add_velocity(
 def _velocity(name: str, b: Block, t: float) -> NumericExpression:
     """Return the wind along one world axis as the sum of mean, harmonics and gust [m/s].
 
-    The sum is eq. (11) of Yacef et al. `name` is the axis, "x" or "y". `b` is the block `wind`,
-    which has the parameters of this axis, and `t` the time in flight [s].
+    The sum is eq. (11) of Yacef et al. `name` is the axis, "x" or "y", `b` the block `wind`, and
+    `t` the time in flight [s].
     """
     axis, wind_time = b.component(name), b.wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
@@ -421,9 +411,8 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of the spline over height, for a wind measured at some heights.
 
-    The cubic not-a-knot spline is a weighted sum of the basis functions. Below the lowest and above
-    the highest measured height, the spline is constant. The transition to the constant value is
-    smoothed over a width of 0.1 m (the constant `HEIGHT_SMOOTHING`).
+    Below the lowest and above the highest measured height, the spline is constant. The transition
+    has the width `HEIGHT_SMOOTHING`, 0.1 m.
 
     Parameters
     ----------
@@ -460,21 +449,19 @@ def _shares(heights: FloatArray) -> FloatArray:
 def _shapes(heights: FloatArray) -> FloatArray:
     """Return the values of the spline's basis functions at the measured heights, as a matrix.
 
-    `heights` [m] are the heights at which the wind was measured. The matrix has one row per height
-    and one column per basis function. The matrix serves to compute the coefficients of the cubic
-    spline from the measured wind.
+    The matrix has one row per height and one column per basis function. `heights` are the measured
+    heights [m].
     """
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
 
 
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
-    """Return the truncated power basis of a cubic spline in height.
+    """Return the truncated power basis of a cubic not-a-knot spline in height.
 
-    `shares` are the heights at which the wind was measured, scaled to the range from 0 to 1. Each
-    function of the result takes a scaled height h. The functions are 1, h, h^2, h^3, and max(h - k,
-    0)^3 for each inner knot k of the spline. For three heights, they are 1, h and h^2; for two
-    heights, 1 and h.
+    The functions of a scaled height h are 1, h, h^2, h^3 and max(h - k, 0)^3 for each inner knot k.
+    Three heights give the degree 2, two heights the degree 1. `shares` are the measured heights,
+    scaled to the range from 0 to 1.
     """
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
@@ -499,13 +486,11 @@ _ROWS_BESIDE = 30
 
 
 class _OverTime:
-    """Wind speed measured over time, as a spline that a Pyomo model can evaluate.
+    """Wind speed along one axis, measured over time, as a spline that a Pyomo model can evaluate.
 
-    The speed is the wind along one axis. The cubic spline over time passes through the measured
-    speeds. After the last measurement, the speed is constant, with a smooth transition.
-
-    A wind measured over time and height is a spline over height with coefficients that depend on
-    time. For this wind, an object of the class is one coefficient instead of a speed.
+    After the last measurement, the speed is constant, with a smooth transition. If the wind was
+    measured over time and height, the object gives one coefficient of the spline over height,
+    instead of the speed.
 
     Parameters
     ----------
@@ -527,13 +512,15 @@ class _OverTime:
         self._spline = CubicSpline(times, speeds)
         ends = self._offset, self._offset + scenario.mission.duration_limits[1]
         first, last = (int(row) for row in np.searchsorted(times, ends))
+        # Rows far away in time are left out: the cost of an evaluation grows with the number of
+        # rows.
         self._rows = slice(max(first - _ROWS_BESIDE, 0), last + _ROWS_BESIDE)
 
     def rule(self, _b: Block, t: Any) -> Any:
         """Return the wind speed at a time in flight [m/s], as a Pyomo rule.
 
         If `t` is a number, the result is a number; if `t` is a Pyomo expression, so is the result.
-        The result has no Pyomo unit. The block `_b` is not used.
+        The result has no Pyomo unit.
         """
         if isinstance(t, int | float):
             return float(self._spline(self._until(t, self._end)))
@@ -544,10 +531,6 @@ class _OverTime:
 
     @cached_property
     def _table(self) -> Table:
-        """Spline through the part of the measurement that a flight of variable duration may reach.
-
-        Measurements far away in time are left out: their effect on the flight is below rounding,
-        and the cost of an evaluation grows with the number of measurements.
-        """
+        """Spline through the measurements at times that the longest flight may reach."""
         times = self._spline.x[self._rows]
         return Table(times, self._spline(times), name="measured wind")

@@ -5,23 +5,21 @@ s | field_unit | m/s | factor on the splines, which have no unit: `wind.field_sc
 x, y, z, t | - | m, s | place of the vehicle, and time on the time axis of the wind data
 
 Each component of the wind velocity is a tensor product of cubic not-a-knot B-splines through its
-values on the grid. The class `collocation.Table` evaluates this product. The component is twice
-differentiable with exact derivatives, and the cost of an evaluation does not grow with the grid.
-Along an axis of two points, the component is a line through the values; along an axis of three
-points, a parabola. A spline needs a value at every grid point. Grid points without wind, such as
-points inside a building, therefore get the wind of the nearest point with wind.
+values on the grid (`collocation.Table`). It is twice differentiable with exact derivatives, and the
+cost of an evaluation does not grow with the grid. Along an axis of two points, the component is a
+line through the values; along an axis of three points, a parabola. A spline needs a value at every
+grid point: points without wind, such as those inside a building, get the wind of the nearest point
+with wind.
 
-The scenario's field `wind.beyond` selects what happens where the field has no wind.
+The scenario's field `wind.beyond` selects what happens where the field has no wind:
 
-With "refuse", the default, flights are permitted only where the wind is known. The constraints of
-the module `model.airspace` keep flights inside the grid, because the spline has no meaning outside.
-A flight is also refused if it passes a place whose nearest grid point has no wind. The function
-`unknown_wind` writes the message.
-
-With "hold", the nearest known wind is used, and flights may leave the grid. Outside of the grid the
-wind of the border blows, because the vehicle's place is clipped smoothly to the grid. Inside of the
-grid, at more than a tenth of a grid step from the border, the clipped place equals the vehicle's
-place to 1e-10 of a grid step.
+- With "refuse", the default, flights are permitted only where the wind is known. Constraints of the
+  module `model.airspace` keep flights inside the grid. A flight is also refused if it passes a
+  place whose nearest grid point has no wind; `unknown_wind` writes the message.
+- With "hold", the nearest known wind is used, and flights may leave the grid. Outside of the grid
+  the wind of the border blows, because the vehicle's place is clipped smoothly to the grid. At more
+  than a tenth of a grid step inside the border, the clipped place equals the vehicle's place to
+  1e-10 of a grid step.
 """
 
 from collections.abc import Sequence
@@ -60,9 +58,8 @@ _PASSING_STEPS = 0.02
 def smooth_positive(number: Any, width: Any) -> Any:
     """Return a smooth max(number, 0), rounded near zero over a width of the same unit.
 
-    If the magnitude of `number` exceeds a few times `width`, the result equals max(number, 0), up
-    to rounding. The function `parameters.positive_part` reaches this accuracy only at a much
-    greater distance from zero.
+    At more than a few widths from zero, it equals max(number, 0) up to rounding. The function
+    `parameters.positive_part` approaches max(number, 0) much more slowly.
     """
     rounding = width**2 * exp(-((number / width) ** 2))
     return (number + sqrt(number**2 + rounding)) / 2
@@ -134,8 +131,8 @@ def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
     """Return the axes of a wind field's grid and the wind on it, prepared for a cubic spline.
 
-    `grid` is the grid of the field. A grid point without wind gets the wind of the nearest point
-    with wind. An axis with fewer than four points is resampled at four points.
+    Grid points without wind get the wind of the nearest point with wind. Axes with fewer than four
+    points are resampled at four points.
 
     Returns
     -------
@@ -165,13 +162,11 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
 
 
 def wind_corners(scenario: Scenario) -> FloatArray:
-    """Return corners of a polyhedron that contains the wind of a field at every place and time.
+    """Return corners of a polyhedron that contains every wind that a flight may meet in a field.
 
-    The polyhedron lies in the space of wind velocities. In each cell of the grid, the wind is a
-    polynomial of degree three along every axis. Its values lie in the convex hull of its control
-    points (Bernstein coefficients). The polyhedron contains the control points of all cells that
-    flights may enter: with the scenario's field `wind.beyond` = "hold" all cells, otherwise the
-    cells with wind at one corner or more. See docs/theory/bound.md, eq. (21).
+    The polyhedron, in the space of wind velocities, contains the control points of the wind's
+    spline in all cells that flights may enter. It therefore contains the wind in these cells. See
+    docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -213,9 +208,7 @@ def _controlled(
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
     """Return axes and control points of a wind field, and which points are in permitted cells.
 
-    In each cell of the grid, the wind is a polynomial, whose values lie in the convex hull of its
-    control points (Bernstein coefficients). A cell is permitted if flights may enter it. `scenario`
-    must have a wind field.
+    A cell is permitted if flights may enter it. `scenario` must have a wind field.
 
     Returns
     -------
@@ -236,6 +229,7 @@ def _controlled(
             _control_points(axis, np.moveaxis(points, number + 1, 0)), 0, number + 1
         )
     is_held = scenario.wind.beyond is Beyond.HOLD
+    # With "hold", flights may enter all cells, otherwise those with wind at one corner or more.
     is_open = np.ones(points.shape[1:], dtype=bool) if is_held else _near_wind(grid, points.shape)
     return axes, scenario.wind.field_scale * points, is_open
 
@@ -266,10 +260,9 @@ class ColumnWinds:
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     """Return bounds of the horizontal wind in each vertical column of a wind field's grid.
 
-    A column consists of all cells of the grid at one horizontal position. In each cell, the wind is
-    a polynomial, whose values lie in the convex hull of its control points (Bernstein
-    coefficients). The bounds of a column are the least and the greatest control point in its cells.
-    Cells that no flight may enter are left out.
+    A column consists of all cells at one horizontal position. Its bounds are the least and greatest
+    control point of the wind's spline in those of its cells that flights may enter. See
+    docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -303,17 +296,17 @@ def winds_of_columns(scenario: Scenario) -> ColumnWinds:
 def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
     """Return the control points (Bernstein coefficients) of the cubic spline through `values`.
 
-    The spline runs along the first array axis of `values`, at the coordinates `axis`. A cell is the
-    interval between two neighbouring coordinates. At the ends of a cell of width w, let the spline
-    have the values v_0 and v_1 and the slopes s_0 and s_1. The four control points of the cell are
-    then v_0, v_0 + w s_0 / 3, v_1 - w s_1 / 3 and v_1. The first array axis of the result holds the
-    control points of all cells, one cell after another.
+    The spline runs along the first array axis of `values`, at the coordinates `axis`. The first
+    array axis of the result holds the four control points of each interval between two coordinates,
+    in order.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for fields alone
 
     spline = make_interp_spline(axis, values, k=3)
     held, slopes = spline(axis), spline(axis, 1)
     thirds = np.diff(axis).reshape(-1, *[1] * (values.ndim - 1)) / 3
+    # A cubic over the width w with end values v_0 and v_1 and end slopes s_0 and s_1 has the
+    # control points v_0, v_0 + w s_0 / 3, v_1 - w s_1 / 3 and v_1.
     of_cells = (
         held[:-1],
         held[:-1] + thirds * slopes[:-1],
@@ -326,10 +319,8 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
     """Return for each control point of a wind field whether the wind is known near it.
 
-    The wind is known near a control point if at least one corner of the point's cell has a value in
-    `grid`. `shape` is the shape of the array of control points: the number of wind components, and
-    four times the number of cells along each axis of the grid. The result has the shape of a
-    component.
+    The wind is known if at least one corner of the point's cell has a value in `grid`. `shape` is
+    the shape of the control points, with the wind component first.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):

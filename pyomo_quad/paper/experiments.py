@@ -133,9 +133,9 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with f_r, the efficiency of motor and rotor of Yacef et al. The report
-    compares the result with the energy that Yacef et al. print for adaptive control. To take still
-    more energy, a flight would have to accelerate and brake its rotors all the time.
+    The power is computed with the efficiency f_r. The report compares the result with the energy
+    that Yacef et al. print for adaptive control. A flight takes more energy than this only if its
+    rotors accelerate and brake all the time.
 
     Parameters
     ----------
@@ -165,9 +165,8 @@ _COARSE: dict[str, Any] = {"solver.elements": 20, "solver.max_refinements": 0}
 class FlightCase:
     """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
-    The paper of Yacef et al. leaves open how the wind acts, in which unit the frequencies of the
-    wind are, and which battery is meant. An object of this class has one choice for each of these
-    questions.
+    The paper leaves open how the wind acts, in which unit its frequencies are, and which battery is
+    meant. An object of this class has one choice for each of these questions.
     """
 
     experiment: Experiment
@@ -273,8 +272,7 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def fly_case(case: FlightCase) -> PaperFlight:
     """Plan a flight of an experiment of Yacef et al., and verify it by simulation.
 
-    `case` gives the experiment, the power model, the wind and the battery. The result holds `case`,
-    the planned flight with the result of its simulation, and the status of the solve.
+    `case` gives experiment, power model, wind and battery.
     """
     plan = _plan(case.scenario, Planner())
     return PaperFlight(
@@ -300,14 +298,11 @@ def _plan(scenario: Scenario, planner: Planner) -> Plan:
 
 
 def _flown(plan: Plan) -> Flight:
-    """Return the flight of a plan, with the result of a simulation of the plan's controls.
-
-    `plan` is the result of the planner, which simulates the controls if the solve has converged.
-    Otherwise, this function simulates them, so that the report can show a flight even if no optimum
-    was found.
-    """
+    """Return the flight of a plan, with the result of a simulation of the plan's controls."""
     if plan.verification is not None:
         return plan.flight()
+    # The planner simulates the controls of a converged solve only. The report shows a flight even
+    # if no optimum was found.
     held = plan.trajectories
     verification, _ = verify_controls(
         plan.dynamics, held.mesh, held.states, held.controls, held.horizon, plan.energy

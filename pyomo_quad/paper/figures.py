@@ -38,9 +38,8 @@ _HEADROOM = 0.6  # space above the energy of hovering [kJ]
 def draw_floors(study: PaperStudy) -> Figure:
     """Draw the least energy of any flight against the bound on the rotor acceleration.
 
-    The bound is an upper bound on the absolute rotor acceleration. The energy is computed with f_r,
-    the efficiency of motor and rotor of Yacef et al. One curve is computed with lower limits on
-    torque and efficiency (regularised f_r), and one curve with the bare polynomial (literal f_r).
+    The bound is on the absolute rotor acceleration. One curve has the efficiency f_r of Yacef et
+    al. with lower limits (regularised), the other the bare polynomial (literal).
 
     Parameters
     ----------
@@ -98,9 +97,8 @@ def paper_drawings(study: PaperStudy) -> tuple[Drawing, ...]:
 def floor_drawing(study: PaperStudy) -> Drawing:
     """Return the figure of the least energy of any flight against the bound on rotor acceleration.
 
-    The energy is computed with f_r, the efficiency of motor and rotor of Yacef et al. The bound is
-    an upper bound on the absolute rotor acceleration. `study` has the results that the figure
-    shows. The `Drawing` has name, title and caption of the figure, and the function that draws it.
+    The bound is on the absolute rotor acceleration. The energy is computed with the efficiency f_r
+    of Yacef et al., from `study`.
     """
     return Drawing(
         name="floors",

@@ -60,10 +60,9 @@ class EnergyChain:
     def created(self) -> float:
         """Shaft energy minus the electrical energy that passes the motors' windings [J].
 
-        The difference is zero for a real motor, whose torque constant k_t and speed constant k_v
-        (speed over voltage) have the product 1. The constants that Yacef et al. print have a
-        product greater than 1. The shaft power (torque times speed) then exceeds the electromotive
-        force times the current, which is not physical.
+        The difference is zero for a real motor, with k_t k_v = 1. The constants that Yacef et al.
+        print have a greater product: the shaft power then exceeds the electromotive force times the
+        current.
         """
         return self.shaft - self.passed
 
@@ -117,10 +116,7 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
 def draw_loss_chain(
     chain: EnergyChain, sampled: EfficiencyMap, flown: PaperFlight, bound: float
 ) -> Figure:
-    """Draw the chain of losses of a flight, and below it the flight on the efficiency map.
-
-    The map shows f_r, the efficiency of motor and rotor of Yacef et al., over rotor speed and
-    torque.
+    """Draw the chain of losses of a flight, and below it the flight on the map of f_r.
 
     Parameters
     ----------

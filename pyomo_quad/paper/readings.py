@@ -32,9 +32,8 @@ _NO_FLOOR = -1e3
 class Reading(StrEnum):
     """Interpretation of the efficiency f_r of Yacef et al., where f_r is small or negative.
 
-    f_r is the efficiency of motor and rotor, a polynomial of torque and speed. `REGULARISED` has
-    lower limits on torque and efficiency, and braking returns no energy. `LITERAL` has the bare
-    polynomial, and braking returns energy.
+    `REGULARISED` has lower limits on torque and efficiency, and braking returns no energy.
+    `LITERAL` has the bare polynomial, and braking returns energy.
     """
 
     REGULARISED = "regularised"
@@ -42,8 +41,6 @@ class Reading(StrEnum):
 
     def values(self) -> dict[str, Any]:
         """Return the scenario fields that select this interpretation of the efficiency f_r.
-
-        f_r is the efficiency of motor and rotor of Yacef et al.
 
         Returns
         -------
@@ -56,18 +53,15 @@ class Reading(StrEnum):
         }
 
     def planner(self) -> Planner:
-        """Return a planner whose model uses this interpretation of the efficiency f_r.
-
-        f_r is the efficiency of motor and rotor of Yacef et al.
-        """
+        """Return a planner whose model uses this interpretation of the efficiency f_r."""
         return Planner(literal_model if self is Reading.LITERAL else model_without_battery)
 
 
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's Pyomo model without the battery.
 
-    For some values of f_r, the efficiency of motor and rotor of Yacef et al., the current of the
-    battery is undefined. The battery can be left out because the energy is independent of it.
+    For some values of f_r, the current of a battery would be undefined. The energy of a flight does
+    not depend on the battery.
     """
     m = build_model(scenario)
     m.del_component(m.battery)
@@ -77,9 +71,7 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 def literal_model(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's model in which the efficiency f_r is the bare polynomial.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The usual model of the package has
-    lower limits on torque and efficiency, and a battery. This model is without these limits and
-    without a battery.
+    The model is without lower limits on torque and efficiency, and without a battery.
 
     Parameters
     ----------
@@ -107,8 +99,7 @@ _OPTIONS = SolverOptions(tolerance=1e-6, max_iterations=100)
 class MeshTrial:
     """Settings of a solve on a fixed mesh, for one interpretation of the efficiency f_r.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The report compares the energies of the
-    solves on several meshes.
+    The report compares the energies of the solves on several meshes.
 
     Attributes
     ----------
@@ -212,11 +203,6 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
     """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The power under f_r is infinite where
-    f_r is zero. The simulation therefore uses another power model, the motors' electrical power,
-    which is always finite. The motion is the same under each power model. The energy under f_r is
-    computed from the simulated motion.
-
     Parameters
     ----------
     scenario : Scenario
@@ -231,7 +217,8 @@ def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[floa
     tuple of float
         Energy [J] (NaN if f_r reaches zero in flight), and distance from the goal at the end [m].
     """
-    # The motion is independent of the power model; the motors' power is finite everywhere.
+    # The motion is independent of the power model. The power under f_r is infinite where f_r is
+    # zero; the motors' power is finite everywhere.
     steerable = scenario.with_values({"power.model": PowerModel.MOTOR, "power.regeneration": True})
     flown = fly_controls(
         Planner(model_without_battery).dynamics(steerable),

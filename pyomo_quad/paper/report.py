@@ -106,11 +106,8 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 def _equations() -> Iterator[dict[str, Any]]:
     """Yield the model's equations for the flight in wind, typeset in groups for the report.
 
-    Each group belongs to one variant of the model: a power model, or a way in which the wind acts.
-    Each equation is listed once, in the first group to which it belongs.
-
-    Each dict describes one group. `title` is its heading or None, `power` its power model or None,
-    and `equations` a list of `TypesetEquation`, which hold LaTeX.
+    Each group belongs to one variant of the model. Its dict has the heading `title` or None, the
+    power model `power` or None, and the list `equations` of `TypesetEquation`.
     """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
@@ -122,6 +119,7 @@ def _equations() -> Iterator[dict[str, Any]]:
         equations = [
             equation
             for equation in typeset_equations(build_model(paper_scenario(Experiment.WIND, values)))
+            # Each equation is listed once, in the first group to which it belongs.
             if equation.latex not in seen and (power is None or equation.name.startswith("power."))
         ]
         seen.update(equation.latex for equation in equations)
@@ -173,13 +171,9 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the rotor-acceleration bound that yields the energy printed by Yacef et al. [rad/s²].
 
-    The least energy of any flight depends on the upper bound on the absolute rotor acceleration.
-    With the returned bound, the least energy equals the energy that Yacef et al. print for their
-    optimal flight. The result is interpolated from `study`, which holds the least energy for
-    several bounds.
-
-    The power is computed with f_r, the efficiency of motor and rotor of Yacef et al., without the
-    lower limits on torque and efficiency that the package usually adds.
+    The larger the bound, the smaller the least energy of any flight. At the returned bound, it
+    equals the printed energy of the optimal flight. The least energy is computed with the bare
+    polynomial f_r (`Reading.LITERAL`), and interpolated between bounds.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
@@ -236,9 +230,8 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Compare the energies of the optimal and the controlled flight of an experiment.
 
-    The controlled flight is flown by the adaptive controller along a smooth reference trajectory.
-    The saving is (controlled - optimal) / controlled energy. f_r is the efficiency of motor and
-    rotor in the paper of Yacef et al.
+    The controlled flight has the adaptive controller and a smooth reference trajectory. The saving
+    is (controlled - optimal) / controlled energy.
 
     Parameters
     ----------
@@ -252,7 +245,7 @@ def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     dict
         Row of the report's table of comparisons, computed with the motors' electrical power: value
         of each column by its name. The additional item `by_efficiency_percent` is the saving
-        [percent] computed with f_r.
+        [percent] computed with the efficiency f_r of Yacef et al.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

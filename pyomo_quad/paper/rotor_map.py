@@ -124,8 +124,8 @@ def chattering_floors(
 ) -> FloatArray:
     """Compute lower bounds on the energy of any flight in calm air under the efficiency f_r.
 
-    f_r is the efficiency of motor and rotor of Yacef et al. The lower bounds hold even for flights
-    whose rotors alternate arbitrarily fast between speeds and accelerations ("chattering").
+    The lower bounds hold even for flights whose rotors alternate arbitrarily fast between speeds
+    and accelerations ("chattering").
 
     Parameters
     ----------
@@ -186,8 +186,8 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is the efficiency of motor and rotor of Yacef et al., as a bare polynomial. If the rotors
-    may brake harder than with the returned acceleration, the energy of flights has no minimum.
+    f_r is the bare polynomial. If the rotors may brake harder than with the returned acceleration,
+    the energy of flights has no minimum.
 
     Parameters
     ----------
@@ -256,8 +256,7 @@ class EfficiencyMap:
 def sample_efficiency_map() -> EfficiencyMap:
     """Sample the efficiency f_r of Yacef et al. over rotor speed and torque, for a figure.
 
-    f_r is the efficiency of motor and rotor, a polynomial of rotor speed and torque. The polynomial
-    was recovered from public re-implementations of the paper.
+    f_r is the polynomial that was recovered from public re-implementations of the paper.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)

@@ -70,11 +70,11 @@ class PackFacts:
 
 
 def pack_facts() -> tuple[PackFacts, ...]:
-    """Compute energy and power of three battery packs, and compare them with hovering.
+    """Compare energy and power of three battery packs with those that a hover needs.
 
-    The packs are the single cell that Yacef et al. print, several of these cells in series, and the
-    battery of the vehicle's maker. Each pack is compared under two power models: the motors'
-    electrical power, and the power with the efficiency f_r of Yacef et al.
+    The hover lasts as long as the experiment of Yacef et al. in calm air. Its power is computed
+    with two power models: `MOTOR` (electrical power of the motors) and `EFFICIENCY` (with the
+    efficiency f_r of Yacef et al.).
 
     Returns
     -------

@@ -51,8 +51,7 @@ def implied_wind_optimum() -> float:
 def paper_parameters() -> pd.DataFrame:
     """Return a table of the parameters that Yacef et al. print, and of the package's own values.
 
-    Each row holds one parameter: the value that the paper prints, and the value in the package's
-    scenario of the experiment in wind.
+    The package's values are those of its scenario of the experiment in wind.
     """
     table = pd.read_csv(Path(__file__).with_name("printed.csv"), converters={"printed": float})
     scenario = paper_scenario(Experiment.WIND, {"battery.use": PAPER_CELL})
@@ -155,8 +154,8 @@ TABLES = {
 def paper_tables(study: PaperStudy) -> dict[str, pd.DataFrame]:
     """Return every table of the report on Yacef et al., by name.
 
-    `study` holds the results of the study. The name of a table is the name of its file without
-    suffix. The dictionary `TABLES` describes the content of each table in words.
+    The name of a table is the name of its file without suffix. `TABLES` describes each table in
+    words.
     """
     rows = {
         "experiments": map(_experiment_row, study.flights),
@@ -254,15 +253,9 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row that compares an adaptive controller's flight with the optimum.
 
-    The optimum is the plan of the same experiment under the same power model.
-
-    The controlled flight misses the exact goal state. The costates of the plan give an estimate of
-    the energy that is still needed to reach it. The compared energy is the energy of the controlled
-    flight plus this estimate. The estimate is added only if the flight ends near the goal and
-    nearly at rest, and the solve of the plan converged.
-
-    With the compared energy E, the energy E_min of the plan and the energy E_hover of hovering, one
-    column of the row is the saving 100 (E - E_min) / E, and another column is the saving of the
+    The optimum is the plan of the experiment under the flight's power model. E is the energy of the
+    flight to the exact goal state (see `settled_energy`), E_min the plan's energy and E_hover the
+    energy of hovering. The columns hold the saving 100 (E - E_min) / E, and the saving of the
     excess, 100 (E - E_min) / (E - E_hover).
 
     Parameters
@@ -279,6 +272,8 @@ def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """
     case = flown.case
     optimum = find_flight(study.flights, case.experiment, case.power_model)
+    # The flight misses the goal state. The costates of the plan give an estimate of the energy that
+    # is still needed to reach it. There is no estimate if the solve of the plan did not converge.
     priced = flown.flight.priced(optimum.end_prices)
     least, spent = optimum.flight.energy_J, settled_energy(priced)
     excess = spent - optimum.hover_energy_J

@@ -3,9 +3,9 @@
 Each point of the polar is a trim: the attitude and the rotor speeds that keep the vehicle in level
 flight at one airspeed. The equations of the scenario's model give the trim and its power P.
 
-In a wind, the velocity through the air is the velocity over ground minus the wind. At ground speed
-g, the energy per metre over ground is P / g. The time of flight may have a price c [J/s = W]. Each
-second of flight then adds c joules to the cost, and the cost per metre is (P + c) / g.
+The velocity through the air is the velocity over ground minus the wind. At ground speed g, the
+energy per metre over ground is P / g. If the flight time has a price c [J/s = W], the cost per
+metre is (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence
@@ -140,8 +140,8 @@ class SteadyCurve:
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
     """Return the minimiser of a function of one variable.
 
-    `trials` are arguments of the function in ascending order. The function first finds the best
-    trial. A bounded search between the two neighbours of the best trial then gives the result.
+    `trials` are arguments of the function `cost`, in ascending order. The result lies between the
+    two neighbours of the trial with the least cost.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]

@@ -1,16 +1,13 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
-The flight is straight and level at the height of the start. Its ground speed is the speed of least
-energy per metre in the local wind. The floor of the airspace is the least allowed height above
-ground. Over rising terrain the vehicle climbs to keep the floor. After a climb it stays at the new
-height, and it returns at the heights of the way out. A climb takes charge but brings no progress.
+The flight is straight and level, at the ground speed of least energy per metre in the local wind.
+Over rising terrain the vehicle climbs to keep the floor, the least allowed height above ground.
+Keep-out zones are ignored.
 
-The usable battery charge is the charge from the full battery to the least state of charge that the
-scenario allows. The range is the distance [m] that the vehicle flies on the usable charge in the
-local wind. Each metre of flight takes the fraction 1 / range of the usable charge. On each course,
-the sum of these fractions grows with the distance from the start. The boundary of the reach is
-where the sum is 1. The sum includes climbs and, if the vehicle returns, the way back. The boundary
-ends at the edge of the terrain or wind field. Keep-out zones are ignored.
+The usable charge is the charge above the least state of charge that the scenario allows. If this
+charge lasts for a range of R metres in the local wind, one metre takes the fraction 1 / R of it.
+Climbs take further fractions, and so does the way back if the vehicle returns. The reach ends where
+all fractions sum to 1, or at the edge of the terrain or wind field.
 """
 
 import json
@@ -103,12 +100,14 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     headings = np.column_stack([np.cos(courses), np.sin(courses), np.zeros(_COURSES)])
     start = np.array(scenario.mission.start.position)
     places = start + along[None, :, None] * headings[:, None, :]
+    # After a climb the vehicle stays at the new height. It returns at the heights of the way out.
     places[..., 2] = _heights(scenario, along, headings)
     is_known = is_wind_known(scenario, 0.0, places.reshape(-1, 3)).reshape(_COURSES, _STEPS)
     is_known &= _is_within_terrain(scenario, places)
     winds = np.zeros((*is_known.shape, 2))
     winds[is_known] = planner.winds_at(scenario, places[is_known])
     share = _shares(curve, winds, courses[:, None], has_return=has_return)
+    # A climb takes charge but brings no progress.
     climbed = _share_per_climb(scenario, steady, curve) * (places[..., 2] - start[2])
     rows = [
         _boundary_on(course, along, share[k], climbed[k], is_known[k], start)
@@ -161,22 +160,22 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
     """Return the battery charge that one metre of climb takes, relative to the usable charge [1/m].
 
-    The usable charge is the charge from the full battery to the least state of charge that the
-    scenario allows. The charge of a climb is its duration times the battery current. Without
-    terrain the result is 0, because the flight is then level.
+    The usable charge is the charge above the least state of charge that the scenario allows.
+    If the scenario has no terrain, the result is 0.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario with the least state of charge and, in `mission.return_flight`, the rate of climb.
-        `mission.return_flight` may also give the battery current of the climb. If it does not, the
-        function `climb_current` computes the current.
+        Scenario with the least state of charge and the rate of climb. If its field
+        `mission.return_flight.climb_current` is absent, the battery current of the climb is
+        computed.
     steady : SteadyFlight
         Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
     curve : SteadyCurve
-        Power and endurance over airspeed in calm air. The function `climb_current` needs the
-        airspeed of least energy per metre, which this curve gives.
+        Power and endurance over airspeed in calm air. Its airspeed of least energy per metre is
+        used to compute the current.
     """
+    # Without terrain the flight is level.
     if scenario.airspace.ground is None:
         return 0.0
     told = scenario.mission.return_flight
@@ -192,8 +191,7 @@ def _shares(
 ) -> FloatArray:
     """Return the fraction of the usable battery charge that one metre of flight takes.
 
-    The usable charge is the charge from the full battery to the least state of charge that the
-    scenario allows. The fraction depends on the wind, and therefore on course and place.
+    The usable charge is the charge above the least state of charge that the scenario allows.
 
     Parameters
     ----------
@@ -223,8 +221,7 @@ def _share_per_metre(
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
     """Return a function for the fraction of the usable battery charge per metre over ground.
 
-    The usable charge is the charge from the full battery to the least state of charge that the
-    scenario allows.
+    The usable charge is the charge above the least state of charge that the scenario allows.
 
     Parameters
     ----------
@@ -267,11 +264,10 @@ def _boundary_on(
     is_known: NDArray[np.bool_],
     start: FloatArray,
 ) -> dict[str, Any]:
-    """Return how far the vehicle flies on one course from the start.
+    """Return how far the vehicle flies on one course until the usable battery charge is spent.
 
-    The vehicle flies until the usable battery charge is spent: the charge from the full battery to
-    the least state of charge that the scenario allows. If `share` includes the way back, the charge
-    covers both ways. The flight ends earlier at the first place where wind or ground is not known.
+    The usable charge is the charge above the least state of charge that the scenario allows. The
+    flight ends earlier where wind or ground is unknown.
 
     Parameters
     ----------
@@ -280,7 +276,9 @@ def _boundary_on(
     along : ndarray, shape (n_steps,)
         Distances from the start [m].
     share : ndarray, shape (n_steps,)
-        Fraction of the usable charge for one metre of level flight at each distance [1/m].
+        Fraction of the usable charge for one metre of level flight at each distance [1/m]. It
+        includes the way back if the vehicle returns. If it is infinite at any distance, because of
+        strong wind, the vehicle flies 0 m.
     climbed : ndarray, shape (n_steps,)
         Fraction of the usable charge for all climbs from the start up to each distance.
     is_known : ndarray of bool, shape (n_steps,)
@@ -371,11 +369,10 @@ def write_reach(folder: Path, reach: Reach, figures: Figures = Figures.SVG) -> d
 
 
 def reach_summary(reach: Reach) -> dict[str, Any]:
-    """Return the main results on a vehicle's reach as a dictionary for `summary.json`.
+    """Return a vehicle's reach as a dictionary for `summary.json`.
 
-    The results are the least and the greatest reach over all courses [m], and the fraction of the
-    battery's capacity that is used. A further result tells whether the wind field or the terrain
-    limits the reach.
+    The dictionary holds the least and the greatest reach over all courses [m], and the fraction of
+    the battery's capacity that is used.
     """
     return {
         "scenario": reach.scenario.name,

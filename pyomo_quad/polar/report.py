@@ -73,9 +73,9 @@ def write_polar(folder: Path, polar: Polar, figures: Figures = Figures.SVG) -> N
 def polar_summary(polar: Polar) -> dict[str, Any]:
     """Return the main results of a polar as a dictionary for `summary.json`.
 
-    The results hold the best speeds, powers, range and endurance with the scenario's own payload.
-    The results also hold the reach on the worst and on the best course. The reach on a course is
-    the greatest distance from which the vehicle returns to the start on the same battery charge.
+    A polar may have curves of several payloads. The dictionary describes only the scenario's own
+    payload. The reach is the greatest distance from which the vehicle returns to the start on the
+    same battery charge.
     """
     facts = _facts(polar.own)
     best = facts.pop("best")
@@ -189,11 +189,10 @@ def draw_polar(polar: Polar) -> Figure:
 
 
 def draw_winds(polar: Polar) -> Figure:
-    """Draw best ground speed and least energy per metre over the direction of the wind.
+    """Draw the ground speed of least energy per metre, and this energy, over the wind's direction.
 
-    The best ground speed is the speed with the least energy per metre over ground. Each curve is
-    one wind speed. The horizontal axis is the angle between the course and the direction to which
-    the wind blows.
+    Each curve is one wind speed. The horizontal axis is the angle between the course and the
+    direction to which the wind blows.
     """
     figure, (left, right) = full_width(3.3, (1, 2), top=0.9, bottom=0.26, wspace=0.25)
     speeds = polar.winds[WIND].unique().tolist()
@@ -217,8 +216,7 @@ def draw_winds(polar: Polar) -> Figure:
 def draw_reach(polar: Polar) -> Figure:
     """Draw how far from the start the vehicle can fly and return on one battery charge.
 
-    The figure is in polar coordinates: the angle is the course (direction of flight from the
-    start), and the radius the greatest distance from the start.
+    The polar figure shows the greatest distance from the start (radius) over the course (angle).
     """
     figure = Figure(figsize=(FULL_WIDTH, 4.2))
     axes = figure.add_axes((0.25, 0.08, 0.5, 0.84), projection="polar")

@@ -71,10 +71,8 @@ def write_campaign(
 def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Return the results of a campaign as a dictionary for `summary.json`.
 
-    A campaign repeats missions on one or more battery charges. For each charge, the dictionary
-    holds the number of flights and the reason why no further flight was possible. The dictionary
-    also holds the total duration [s] and energy [J] of all flights, the wall time of each solve,
-    the package's version, and the complete scenarios of the missions.
+    For each battery charge, the dictionary holds the number of flights and the reason why no
+    further flight was possible.
     """
     plans = [flight.plan for flight in campaign.flights]
     return {
@@ -118,10 +116,8 @@ def campaign_words(campaign: Campaign) -> list[str]:
 def draw_campaign(campaign: Campaign) -> Figure:
     """Draw state of charge and lowest pack voltage of each flight of a campaign, in two panels.
 
-    A campaign repeats missions on one or more battery charges. The state of charge is drawn at the
-    start and at the end of each flight. Each battery charge has its own line. Dashed lines mark the
-    lowest permitted state of charge and the lowest permitted voltage, if the mission has such a
-    limit.
+    The state of charge is drawn at the start and at the end of each flight. Dashed lines mark the
+    lowest permitted values.
 
     Parameters
     ----------

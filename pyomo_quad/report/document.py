@@ -59,8 +59,8 @@ class Drawing:
 def wanted_drawings(drawings: Iterable[Drawing], figures: Figures) -> tuple[Drawing, ...]:
     """Return the figures of a report, with the file formats in which they are to be written.
 
-    The result holds a copy of each item of `drawings`. The attribute `formats` of the copy is
-    ``figures.formats``. The result is empty for `Figures.NONE`.
+    The result holds copies of `drawings` with the attribute `formats` set. It is empty for
+    `Figures.NONE`.
 
     Parameters
     ----------

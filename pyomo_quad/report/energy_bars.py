@@ -32,12 +32,8 @@ _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbe
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw two bar charts of flights: the total energies, and the energies above hovering.
 
-    The left panel shows the total energy of each flight and, in grey, the energy of hovering for
-    the same time. The right panel shows, on a larger scale, the energy above hovering: the energy
-    of the flight less the energy of hovering.
-
-    Energies above hovering are comparable only between flights of equal duration. If the durations
-    differ, the right panel shows the energy of each flight less the energy of the first flight.
+    If the durations differ, the right panel shows the energy of each flight less the energy of the
+    first flight.
 
     Parameters
     ----------
@@ -62,6 +58,7 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
     _make_room(whole, longest)
     whole.set(title="Total energy; grey: hovering", xlabel="Energy (J)")
     least, title = hover_energy_J, "Above hovering"
+    # Energies above hovering are comparable only between flights of equal duration.
     if not have_equal_durations(flights):
         least, title = flights[0].energy_J, f"More than {flights[0].name}"
     differences = [flight.energy_J - least for flight in flights]
@@ -75,22 +72,19 @@ def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) ->
 
 
 def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
-    """Draw the energy of each flight as a bar, in one panel for each scenario.
+    """Draw the energy above hovering of each flight as a bar, in one panel for each scenario.
 
-    The bars show the energy above hovering: the energy of the flight less the energy of hovering
-    for the same time. These energies are comparable only between flights of equal duration. If the
-    flights of any scenario differ in duration, the bars in all panels show total energies instead.
-
-    All panels have the same energy scale. A flight may end near the goal. Its energy then includes
-    an estimate of the energy that is needed to reach the exact goal state. The bars of flights that
-    missed the goal are pale.
+    If the flights of any scenario differ in duration, the bars in all panels show total energies
+    instead. The bars of flights that missed the goal are pale.
 
     Parameters
     ----------
     comparison : DataFrame
         One row for each flight of each scenario. The enumeration `ComparisonColumn` names the
-        columns, such as duration, energy and whether the flight reached the goal.
+        columns. The energy of a flight that ends near the goal includes an estimate of the energy
+        to the exact goal state.
     """
+    # Energies above hovering are comparable only between flights of equal duration.
     is_above = has_equal_durations(comparison)
     energies = comparison[ComparisonColumn.EXCESS_ENERGY].astype(float)
     if not is_above:

@@ -196,8 +196,8 @@ _PANELS = (
 def draw_bands(flown: Ensemble) -> Figure:
     """Draw four quantities of an ensemble of flights over time: the median, and a 90 % band.
 
-    The band lies between the 5 % and 95 % quantiles of the flights. The quantities are the distance
-    from the reference path, the speed, the tilt and the energy.
+    The quantities are distance from the reference path, speed, tilt and energy. The band lies
+    between the 5 % and 95 % quantiles of the flights.
 
     Parameters
     ----------

@@ -119,8 +119,8 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature
-    of the battery. Such a panel is drawn only if the tables of all flights have the panel's column.
+    Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature,
+    each only if the tables of all flights have its column.
 
     Parameters
     ----------
@@ -286,8 +286,7 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose short peaks of power are cut off in a panel of power over time.
 
-    Peaks are cut off if they would make the vertical axis so long that all curves look flat. The
-    result is empty if no peak is cut off.
+    Peaks are cut off if they would make all curves look flat.
 
     Parameters
     ----------
@@ -312,7 +311,7 @@ def coinciding_flights(
     """Return the flights whose curve of energy above hovering coincides with the plan's curve.
 
     Energy above hovering at a time t is the energy that a flight has used until t, less the energy
-    of hovering until t. The caption of the figure names the flights that are hidden in this way.
+    of hovering until t.
 
     Parameters
     ----------
@@ -338,9 +337,8 @@ def coinciding_flights(
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
     """Return the least and the greatest power [W] of a panel's vertical axis, without short peaks.
 
-    `flights` are the flights whose power the panel shows over time; the first is the plan. Peaks of
-    the other flights are excluded if they would make the axis so long that all curves look flat.
-    The result is None if the panel can show all peaks.
+    The range includes the plan, the first of `flights`. The result is None if no peaks of the other
+    flights are cut off.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -358,8 +356,8 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
     """Cut off short peaks in a panel of power over time, and say so in the panel's title.
 
-    `axes` is the panel. `flights` are the flights that it shows; the first is the plan. Peaks are
-    cut off only if they are much higher than the rest of the curves.
+    The first of `flights` is the plan, whose power is always shown completely (see
+    `_power_window`).
     """
     window = _power_window(flights)
     if window is not None:
@@ -459,9 +457,8 @@ _LEG_ROW = 0.2  # inches
 def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
     """Draw the speed of flights over path length, and the plan's energy on each leg of the mission.
 
-    The first panel shows the speed. If the mission has waypoints, a second panel shows the
-    energies. It has one bar for each leg and for each hover at a waypoint. A leg is the flight from
-    one waypoint to the next; start and goal count as waypoints.
+    A leg is the flight from one waypoint to the next; start and goal count as waypoints. A hover at
+    a waypoint has its own bar of energy.
 
     Parameters
     ----------
@@ -509,8 +506,8 @@ def _draw_legs(axes: Axes, flight: StyledFlight, legs: pd.DataFrame) -> None:
 def draw_front(front: pd.DataFrame) -> Figure:
     """Draw the energy-time front of a mission: least energy against duration.
 
-    Each point is an optimal flight for one price of time. The price is the energy that may be spent
-    to shorten the flight by one second [J/s = W]. A star marks the plan.
+    Each point is an optimal flight for one price of time: the energy that may be spent to shorten
+    the flight by one second [J/s = W]. A star marks the plan.
 
     Parameters
     ----------

@@ -28,9 +28,8 @@ _unfinished: set[Path] = set()
 def output_folder(path: str | Path) -> Iterator[Path]:
     """Context manager: write an output folder that appears complete or not at all.
 
-    The ``with`` block writes to a temporary folder beside the final folder. When the block ends,
-    the temporary folder replaces the final folder. If the block raises, the temporary folder is
-    removed and the final folder remains unchanged.
+    The ``with`` block writes to a temporary folder, which replaces the final folder at the end. If
+    the block raises, the final folder remains unchanged.
 
     Parameters
     ----------
@@ -77,14 +76,13 @@ _MARKED_WITHIN_BYTES = 65_536
 def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     """Context manager: write an output file that appears complete or not at all.
 
-    The ``with`` block writes to a temporary file. When the block ends, the temporary file replaces
-    the final file. The final path may also be a character device or a FIFO, such as
-    ``/dev/stdout``. The content is then copied to the device or FIFO.
+    The ``with`` block writes to a temporary file, which replaces the final file at the end.
 
     Parameters
     ----------
     path : str or Path
-        Final file.
+        Final file. If it is a character device or FIFO, such as ``/dev/stdout``, the content is
+        copied to it.
     mark : str, optional
         Text that marks files of this package. The caller must write the text into the new file. An
         existing regular file is replaced only if it contains the text or is empty.
@@ -157,8 +155,7 @@ def _is_marked(file: Path, mark: str) -> bool:
 def refuse_output_folder(path: str | Path) -> None:
     """Raise an error if a folder cannot be used for an output; write nothing.
 
-    A command calls this function before a long solve, so that the error comes early. After the
-    solve, `output_folder` checks the folder again and writes the output.
+    A command calls this function before a long solve, so that the error comes early.
 
     Parameters
     ----------
@@ -270,14 +267,11 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 
 
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
-    """Finish the replacement of an old output folder by a new one.
+    """Rename a complete new output folder from its hidden name to its final path.
 
-    The new folder is complete. It lies beside the final folder, under a hidden name that contains
-    "ready". This function renames the old folder to `aside`, then the new folder to `final`. It
-    acts only if the hidden folder exists and a run of this package made it.
-
-    A run may be killed before or between the two renamings. The next run then calls this function
-    and finishes the replacement.
+    The hidden name is ``.NAME.ready`` for a final folder NAME. If this folder does not exist, or no
+    run of this package made it, nothing is renamed. An old folder at the final path is first
+    renamed to `aside`.
 
     Parameters
     ----------
@@ -286,12 +280,13 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     path : str or Path
         The same folder as the user wrote it, for messages.
     aside : Path
-        Temporary name of the old folder.
+        Path to which an old folder is renamed.
     """
     ready = _hidden(final, "ready")
     if not _is_of_a_run(ready):
         return
     _refuse_foreign_files(final, path)
+    # A run may be killed before or between the two renamings. The next run then finishes them.
     if final.exists():
         final.rename(aside)
     ready.rename(final)
@@ -313,10 +308,9 @@ def _remove_leftovers(final: Path) -> None:
 def _is_of_a_run(folder: Path) -> bool:
     """Return whether a run of this package made a folder: the folder then contains a manifest.
 
-    A manifest is the hidden file in which a run lists its output files. This module moves and
-    deletes only folders with a manifest. A user's own folder that happens to have one of the
-    temporary names is thus safe.
+    A manifest is the hidden file in which a run lists its output files.
     """
+    # A user's own files in a folder that happens to have a temporary name are thus safe.
     return not folder.is_symlink() and (folder / MANIFEST_NAME).is_file()
 
 
@@ -339,8 +333,7 @@ def _remove(folder: Path) -> None:
 def _files(folder: Path) -> Iterator[str]:
     """Yield the relative names of all files in a folder, including links to folders.
 
-    The names become the manifest of a new output folder. Later they are compared with the manifest,
-    to find files that this package did not write. Raises OSError if the folder cannot be read.
+    Raises OSError if the folder cannot be read.
     """
 
     def fail(error: OSError) -> NoReturn:

@@ -87,11 +87,11 @@ FRONT_FIGURE = "front"
 def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawing, ...]:
     """List the figures of a plan, and of flights that are drawn together with it.
 
-    Some figures are left out:
+    The list leaves out the figures
 
-    - figures of a column that the plan's table lacks, as with a user's own Pyomo model;
-    - figures of a column with values that are not finite, as after a failed solve;
-    - in calm air, the figure of the wind.
+    - of columns that the plan's table lacks, as with a user's own Pyomo model;
+    - of columns with values that are not finite, as after a failed solve;
+    - of the wind, in calm air.
 
     Parameters
     ----------
@@ -173,10 +173,9 @@ def comparison_drawings(
 ) -> tuple[Drawing, ...]:
     """List the figures of a comparison of flights: map, power over time, and energies.
 
-    The map and the power over time show the plan and its rival. The rival is the flight relative to
-    which the report states the plan's energy saving. The energy bars show the plan and the flights
-    that reached the goal and kept all limits; only these energies can be compared. The result is
-    empty if the plan's table has no positions, as can happen with a user's own Pyomo model.
+    The map and the power show the plan and its rival (see `rival_of`). The energy bars show the
+    plan and the flights that reached the goal and kept all limits. The result is empty if the
+    plan's table has no positions.
 
     Parameters
     ----------
@@ -190,11 +189,13 @@ def comparison_drawings(
     mission : Scenario
         Scenario whose zones and waypoints the map shows.
     """
+    # The table of a user's own Pyomo model may have no positions.
     if not set(_columns(POSITION)) <= set(flights[0].frame):
         return ()
     rival = rival_of(comparison)
     pair = [one for one in flights if rival and one.name == rival[ComparisonColumn.FLIGHT]]
     pair.insert(0, flights[0])
+    # Only the energies of flights that reached the goal and kept all limits can be compared.
     good = comparison[ComparisonColumn.ARRIVED] & comparison[ComparisonColumn.LIMITS_KEPT]
     names = set(comparison.loc[good.astype(bool), ComparisonColumn.FLIGHT]) | {flights[0].name}
     compared = [flight for flight in flights if flight.name in names]
@@ -225,8 +226,7 @@ def comparison_drawings(
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights without a bar in the energy chart.
 
-    The flights `compared` reached the goal and kept all limits, and therefore have a bar. The
-    sentence names the rest of `flights`. The sentence is empty if all flights have a bar.
+    The flights `compared` have a bar. The sentence is empty if all of `flights` have a bar.
     """
     rest = [flight for flight in flights if flight not in compared]
     return _naming("Without a bar, because they missed the goal or broke a limit", rest)
@@ -274,8 +274,7 @@ def drawings_of_solve(plan: "Plan") -> tuple[Drawing, ...]:
 def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
     """List the figures in the report of a run: a plan with the flights it is compared with.
 
-    The order is: comparison of the flights, controller's adaptation, energy-time front, flights in
-    turbulence, and figures of the plan. Figures of results that the run does not have are left out.
+    Figures of results that the run does not have are left out.
     """
     flights = _styled(result)
     return (
@@ -371,8 +370,8 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 def _course(mission: "Scenario") -> str:
     """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths.
 
-    `mission` is the scenario of the map. The sentences also mention the clearance of the zones and
-    the terrain. Anything that the scenario does not have is omitted.
+    The sentences also mention clearance and terrain. Anything that the scenario does not have is
+    omitted.
     """
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
@@ -502,9 +501,7 @@ def _wind(optimum: StyledFlight, blowing: StyledFlight | None) -> tuple[Drawing,
 def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
     """Return a warning for a caption if the flights of an energy figure differ in duration.
 
-    The warning says that the flights' energies above hovering cannot be compared. The energy above
-    hovering is the energy of a flight less the energy of hovering for the same time. `flights` are
-    the flights of the figure. The text is empty if the durations are equal.
+    The text is empty if the durations are equal (see `have_equal_durations`).
     """
     if have_equal_durations(flights):
         return ""
@@ -515,10 +512,9 @@ def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return a caption's sentence on short power peaks that are cut off in a figure.
+    """Return a caption's sentence that names the flights with power peaks cut off in a figure.
 
-    `flights` are the flights whose power the figure shows over time; the first is the plan. The
-    sentence names the flights with peaks that are cut off. It is empty if no peak is cut off.
+    The first of `flights` is the plan. The sentence is empty if no peak is cut off.
     """
     if POWER.name not in flights[0].frame:
         return ""
@@ -533,10 +529,8 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
 
-    At each time t, a curve shows the energy that a flight has used until t, less the energy of
-    hovering until t. `flights` are the flights of the figure; the first is the plan.
-    `hover_energy_J` is the energy of hovering for the duration of the plan. The sentence is empty
-    if all curves can be distinguished.
+    The first of `flights` is the plan. `hover_energy_J` is the energy of hovering for the plan's
+    duration. If no curve is hidden, the sentence is empty.
     """
     if ENERGY.name not in flights[0].frame:
         return ""
@@ -547,13 +541,12 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
     """Return the caption's sentence on energy bars that end below the hover energy.
 
-    A flight can use less energy than hovering for the same time, for example in descent or in
-    forward flight. The flight's bar then ends inside the grey bar of the hover energy. `flights`
-    are the flights of the chart; the first is the plan. `hover_energy_J` is the energy of hovering
-    for the duration of the plan. The sentence is empty if every flight uses more energy than
-    hovering.
+    The first of `flights` is the plan. `hover_energy_J` is the energy of hovering for the plan's
+    duration. If there are no such bars, the sentence is empty.
     """
     hover_power = hover_energy_J / flights[0].duration_s
+    # A flight can use less energy than hovering, for example in descent or in forward flight. Its
+    # bar then ends inside the grey bar of the hover energy.
     is_below = any(flight.energy_J < hover_power * flight.duration_s for flight in flights)
     return " Colour inside the grey: energy saved compared with hovering." if is_below else ""
 
@@ -561,8 +554,7 @@ def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 def _not_drawn(flights: Sequence[StyledFlight], drawn: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights missing from a figure.
 
-    `drawn` are the flights that the figure shows. The sentence names the rest of `flights`. The
-    sentence is empty if no flight is missing.
+    `drawn` are the flights that the figure shows. The sentence is empty if no flight is missing.
     """
     return _naming("Not drawn", [flight for flight in flights if flight not in drawn])
 
@@ -586,8 +578,8 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
     """Return a sentence for a figure's caption that ends with the names of `flights`.
 
-    `words` is the beginning of the sentence, and `sign` the punctuation before the names. With
-    "Not drawn" and ":", the sentence is " Not drawn: A and B." The result is empty without flights.
+    For example, `words` "Not drawn" and `sign` ":" give " Not drawn: A and B." If `flights` is
+    empty, the sentence is empty.
     """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 

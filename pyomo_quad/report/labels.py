@@ -47,9 +47,7 @@ class Label:
 def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
     """Print labels into a panel, each beside its point, so that they hide as little as possible.
 
-    Each label has several possible places. Places where it would cover another label or a labelled
-    point are avoided if possible. Of the remaining places, the label gets the place where it covers
-    the fewest points of curves. The caller must not change the limits of the axes afterwards.
+    The caller must not change the limits of the axes afterwards.
 
     Parameters
     ----------

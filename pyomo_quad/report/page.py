@@ -69,8 +69,7 @@ _PROGRAM = Path(__file__).with_name("page.js")
 def _label(inline: Token) -> str:
     """Return the text of a line of Markdown without formatting, escaped for HTML.
 
-    `inline` is the markdown-it token of the line. The text is used as a label for screen readers,
-    as the title, or in the table of contents.
+    The text is used as a label for screen readers, as the title, or in the table of contents.
     """
     return escape("".join(child.content for child in inline.children or ()))
 
@@ -216,8 +215,8 @@ def _end_of_section(before: Sequence[Token]) -> str:
 def _has_view(tokens: Sequence[Token], at: int, views: Mapping[str, str]) -> bool:
     """Return whether a report section has a figure with an interactive view (a flight player).
 
-    `tokens` are the markdown-it tokens of the report; `at` is the index of the token that opens the
-    section's heading. `views` holds the HTML of each view by the name of the figure.
+    `at` is the index of the token that opens the section's heading. The keys of `views` are names
+    of figures.
     """
     end = next((k for k in range(at + 1, len(tokens)) if _is_h2(tokens[k])), len(tokens))
     children = (child for token in tokens[at:end] for child in token.children or ())

@@ -169,7 +169,7 @@ def mean_wind_of(flight: StyledFlight) -> np.ndarray:
 def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
     """Draw the mean wind along a flight as an arrow in a corner of a panel, with its speed.
 
-    `axes` is the panel, a map of flight paths from above. Nothing is drawn in calm air.
+    Nothing is drawn in calm air.
     """
     wind = mean_wind_of(flight)
     speed = float(np.linalg.norm(wind))
@@ -198,10 +198,8 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
     """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
 
-    `axes` is the panel, a map of flight paths from above. `grid` is the wind field. `scale` is the
-    scenario's factor for the velocities of the field. The arrows show the lowest height and the
-    first time of the field. On a fine grid, some grid points have no arrow. Nothing is drawn in
-    calm air.
+    The arrows show the lowest height and the first time of the field. `scale` multiplies the
+    velocities. Nothing is drawn in calm air.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -269,11 +267,11 @@ def draw_space(
 
 
 def leaving_paths(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the flights whose paths are so far from the plan's path that they leave the figure.
+    """Return the flights whose paths leave the figure because they are too far from the plan.
 
-    The first of the given flights is the plan. A flight is returned if its distance from the plan
-    at equal times exceeds a limit at any time. The limit is the diagonal of the box around the
-    plan's path, or 0.2 m if the diagonal is shorter.
+    The first of `flights` is the plan. A path leaves the figure if its greatest distance from the
+    plan at equal times exceeds max(d, 0.2 m). Here d is the diagonal of the box around the plan's
+    path.
     """
     return _further(flights, ASTRAY)
 
@@ -288,9 +286,8 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
     """Return the least and the greatest x, y and z of a figure of paths, shape (3, 2), in m.
 
-    `flights` are the flights of the figure; the first is the plan. `mission` is the scenario whose
-    airspace is drawn, or None. The ranges include all paths, except those far from the plan (see
-    `leaving_paths`). They also include nearby keep-out zones, floor and ceiling of the airspace.
+    The ranges include all paths that do not leave the figure (see `leaving_paths`). If `mission` is
+    given, they are extended to show its airspace (see `_with_airspace`).
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -329,23 +326,25 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Replace points outside a figure's limits by NaN, because 3-D axes do not clip curves.
+    """Replace points outside a figure's limits by NaN.
 
     `points` are the points of a curve [m], shape (n, 3). `limits` holds the least and the greatest
-    x, y and z of the figure [m], shape (3, 2). The result has the shape of `points`.
+    x, y and z [m], shape (3, 2).
     """
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
+    # 3-D axes do not clip curves.
     return np.where(is_inside[:, None], points, np.nan)
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Extend the axis limits of a figure of paths towards keep-out zones, floor and ceiling.
+    """Extend the axis limits of a figure of paths to show keep-out zones, floor and ceiling.
 
-    The extension is limited, so that distant zones do not make the paths small. `airspace` has the
-    zones, floor and ceiling. `limits` and the result hold the least and the greatest x, y and z
-    [m], shape (3, 2).
+    No limit moves by more than a quarter of the longest axis, so that the figure may cut off
+    distant zones. `limits` and the result hold the least and the greatest x, y and z [m], shape
+    (3, 2).
     """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
+    # The extension is limited, so that distant zones do not make the paths small.
     furthest = limits + room * np.array([-1.0, 1.0])
     wanted = limits.copy()
     sides = [
@@ -451,8 +450,7 @@ def _draw_projection(
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
     """Return position [m], name and marker of the two ends of a plan's path, for figures.
 
-    `optimum` is the flight of the plan. The ends are start and goal. If start and goal are the same
-    place, the result has only one entry.
+    If start and goal are the same place, the result has only one entry.
     """
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()

@@ -92,9 +92,9 @@ def visible(text: str) -> str:
     r"""Replace the invisible characters of a text by Python escapes such as ``\u200b``.
 
     Control characters, direction marks, zero-width characters and lone surrogates are replaced.
-    Blanks and line breaks are kept. Two names that differ only in such characters thus look
-    different in a message or report.
+    Blanks and line breaks are kept.
     """
+    # Two names that differ only in invisible characters look different after the replacement.
     return "".join(
         letter
         if letter in "\t\n\r" or category(letter) == "Zs" or _is_seen(letter)
@@ -137,8 +137,8 @@ def written(text: str) -> Markup:
 def _code(text: str) -> Markup:
     """Format the name of a flight, file, field or command as a Markdown code span.
 
-    `text` is the name. Some names, such as a name with a backtick, cannot be written in a code
-    span. They are returned as escaped Markdown without a code span.
+    Names that cannot be written in a code span, such as a name with a backtick, are returned as
+    escaped Markdown.
     """
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:

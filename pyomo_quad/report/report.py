@@ -88,10 +88,8 @@ def write_solve_report(
 ) -> None:
     """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
-    The text states the plan's status. A simulation of the plan's controls checks the plan. The
-    status "verified" means that the simulation confirms the plan to the requested accuracy, and
-    "usable" that it confirms the plan to wider tolerances. Any other status is also stated in the
-    title.
+    The text states the plan's status (see `PlanStatus`). If the status is neither `VERIFIED` nor
+    `USABLE`, the title begins with it.
 
     Parameters
     ----------
@@ -162,6 +160,8 @@ def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figur
 class RunRecord:
     """Results of a run, as stored in its report folder: summary and comparison of the flights.
 
+    A comparison of scenarios uses the record instead of solving the scenario again.
+
     Attributes
     ----------
     summary : mapping
@@ -183,12 +183,11 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Return the results of an earlier run of a scenario, read from the run's report folder.
 
-    A comparison of scenarios uses the earlier run instead of solving the scenario again. A run is
-    ignored in these cases:
+    A run is ignored in these cases:
 
-    - The plan was not verified: simulation did not confirm the plan to the requested accuracy.
-    - The package or its dependencies had other versions, which may give other numbers.
-    - The scenario uses a user's own model. Its code may have changed since the run.
+    - The plan was not verified.
+    - The package or its dependencies had other versions.
+    - The scenario uses a user's own model.
 
     Parameters
     ----------
@@ -205,6 +204,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
+    # The code of a user's own model may have changed since the run.
     if scenario.model is not None:
         return None
     flags = (ComparisonColumn.ARRIVED, ComparisonColumn.LIMITS_KEPT, ComparisonColumn.VERIFIED)
@@ -228,6 +228,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     if chosen and scenario.baseline.has_default_gains:
         gains = {f"baseline.gains.{name}": number for name, number in chosen.items()}
         scenario = scenario.with_values(gains)
+    # Other versions of the package or its dependencies may give other numbers.
     expected = {
         "verified": True,
         "versions": installed_versions(),
@@ -274,8 +275,8 @@ def write_compare_report(
 def _title(plan: "Plan") -> str:
     """Return the title of a plan's report, which is the title or name of the plan's scenario.
 
-    A simulation of the plan's controls checks the plan. If this check fails, or the solve failed
-    before it, the title begins with the plan's status, such as "Failed, infeasible".
+    If no simulation of the controls confirmed the plan, the title begins with the plan's status,
+    such as "Failed, infeasible".
     """
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
@@ -313,9 +314,8 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 class FreeClimb:
     """Climb that is impossible: its potential energy exceeds the flight's energy above hovering.
 
-    The energy above hovering is the energy of the flight less the energy of hovering for the same
-    time. Some power models do not depend on the airspeed, and therefore omit the power of climbing.
-    With such a model, a plan can contain an impossible climb. The report warns the user of it.
+    Some power models do not depend on the airspeed, and therefore omit the power of climbing. With
+    such a model, a plan can contain an impossible climb. The report warns the user of it.
 
     Attributes
     ----------
@@ -324,7 +324,7 @@ class FreeClimb:
     potential_J : float
         Potential energy that the climb adds.
     spent_J : float
-        Energy of the flight above hovering for the same time.
+        Energy of the flight less the energy of hovering for the same time.
     """
 
     height_m: float
@@ -336,20 +336,21 @@ class FreeClimb:
 def _free_climb(plan: "Plan") -> FreeClimb | None:
     """Return the mission's climb if it is physically impossible, None otherwise.
 
-    The energy above hovering is the energy of the plan less the energy of hovering for the same
-    time. The climb is impossible if its potential energy exceeds the energy above hovering. In
+    The climb is impossible if its potential energy exceeds the plan's energy above hovering. In
     three cases the climb is not judged, and the result is None:
 
-    - The power model is `momentum`, or the plan is of a user's own Pyomo model. The power may then
-      depend on the airspeed, so that the plan's energy includes the energy of the climb.
-    - The mission releases payload on the way. The released mass does not climb to the goal.
-    - The controls of the plan were not simulated, for example because the solve failed.
+    - The power may depend on the airspeed.
+    - The mission releases payload on the way.
+    - The controls of the plan were not simulated.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
     spent = plan.energy - plan.hover_energy_J
+    # Under `momentum` or a user's own model, the plan's energy may include the energy of the climb.
     prices_climbs = scenario.model is not None or scenario.power.model is PowerModel.MOMENTUM
+    # The released mass does not climb to the goal.
     has_releases = any(waypoint.release for waypoint in scenario.mission.waypoints)
+    # The verification is None if the controls were not simulated, as after a failed solve.
     if plan.verification is None or prices_climbs or has_releases:
         return None
     if height <= 0.0 or spent >= potential:
@@ -378,8 +379,8 @@ def climb_of(scenario: "Scenario") -> tuple[float, float]:
 def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
     """Return a text that describes the horizontal wind along the trajectory of a plan.
 
-    The text states the magnitude and the direction of the mean wind vector, and the least and the
-    greatest wind speed. In calm air the returned text is empty.
+    The text states the mean wind vector, and the least and the greatest speed. It is empty in calm
+    air.
 
     Parameters
     ----------
@@ -436,9 +437,7 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
 def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a comparison of flights.
 
-    `comparison` is a table with one row for each flight. Its columns are the members of the
-    enumeration `ComparisonColumn`: duration, energy, saving and other results of the flight. The
-    returned dictionary has the values of the variables, by name.
+    `comparison` has one row for each flight. Its columns are the members of `ComparisonColumn`.
     """
     return {
         "column": ComparisonColumn,
@@ -455,9 +454,7 @@ def _comparison_values(comparison: "pd.DataFrame") -> dict[str, Any]:
 def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any]:
     """Return the variables of the report's template that describe a run, except its plan.
 
-    `result` holds the results of the run. `replanned` is the table of the flights with re-planning
-    in flight. It has one row for each flight, with results and solve times. The returned dictionary
-    has the values of the variables, by name.
+    `replanned` has one row for each flight with re-planning in flight: results and solve times.
     """
     comparison, certificate = result.comparison, result.certificate
     by_name = comparison.set_index(ComparisonColumn.FLIGHT, drop=False).to_dict("index")
@@ -503,9 +500,8 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 def _is_good(result: "RunResult") -> bool:
     """Return whether a run succeeded, so that its report shows the main result in green.
 
-    A run succeeds if simulation confirmed the plan to the requested accuracy. For a plan that was
-    made for a wind forecast there is a second condition: every flight of the run reached the goal.
-    `result` holds the plan and the flights.
+    A run succeeds if its plan is verified. With a wind forecast, every flight must also reach the
+    goal.
     """
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
@@ -516,8 +512,7 @@ def prepare_figures(figures: Figures) -> None:
     """Import matplotlib and the module of figures in advance.
 
     A command calls this function while other processes compute, so that the import does not delay
-    the report. `figures` is the requested file format. For `Figures.NONE` (a report without
-    figures) nothing is imported.
+    the report. For `Figures.NONE` nothing is imported.
     """
     if figures is not Figures.NONE:
         _gallery()

@@ -149,8 +149,8 @@ ROTOR_STYLES = (
 def flight_styles(names: tuple[str, ...]) -> dict[str, LineStyle]:
     """Return the line style of each flight, chosen by the name of the flight.
 
-    Flights that the program names itself, such as the plan and the baseline flights, have a fixed
-    style in all reports. All other flights get the remaining styles in turn.
+    Flights that the program names itself, such as the plan, have a fixed style in all reports. All
+    other flights get the remaining styles in turn.
 
     Parameters
     ----------
@@ -193,14 +193,12 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
-
-    Matplotlib computes the position of an axis label even if the label is empty. This function sets
-    the position of empty labels to a constant, which saves a tenth of the drawing time.
-    """
+    """Draw a figure with the function `draw`, prepare it for fast saving, and return it."""
     figure = draw()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
+            # Matplotlib computes the position of a label even if the label is empty. A constant
+            # position saves a tenth of the drawing time.
             if not axis.get_label_text():
                 axis.set_label_coords(0.0, 0.0)
     return figure
@@ -332,8 +330,7 @@ def draw_panels(
 ) -> None:
     """Draw several columns of the flights' tables against time, each column in a panel of its own.
 
-    A panel shows the curves of all flights and has the title of its column. The attribute
-    `smallest_span` of the column is the least range of the panel's vertical axis.
+    The attribute `smallest_span` of a column is the least range of its panel's vertical axis.
 
     Parameters
     ----------
@@ -427,9 +424,9 @@ class StyledFlight:
 def plan_flight(plan: "Plan") -> "Flight":
     """Return a plan as a `Flight`, the form in which figures draw all flights.
 
-    A `Flight` has a name, a table and an energy. The name is "optimal". If the solve failed, the
-    name is "best iterate", because the trajectory may violate constraints.
+    The flight has the name "optimal", or "best iterate" if the solve failed.
     """
+    # The trajectory of a failed solve may violate constraints.
     return plan.flight() if plan.verification is not None else plan.flight(_FAILED_PLAN)
 
 
@@ -488,25 +485,24 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
     """Return whether flights have equal durations, apart from rounding errors.
 
-    Flights of equal duration can be compared by their energies above hovering. The energy above
-    hovering is the energy of a flight less the energy of hovering for the same time. If the
-    durations differ, only the total energies can be compared.
+    Only then can their energies above hovering be compared. The energy above hovering is a flight's
+    energy less the energy of hovering for the same time.
     """
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
 
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
-    """Return the plan and the only baseline flight that the figures of states show with it.
+    """Return the two flights that the figures of states show: the plan and one baseline flight.
 
-    In this baseline flight, named `FAIR_BASELINE`, a controller follows a smooth reference
-    trajectory. The trajectory is independent of the plan, so that the comparison is fair. If the
-    baseline flight is not among the given flights, the plan is returned alone.
+    The baseline flight has the name `FAIR_BASELINE`: a controller follows a smooth reference
+    trajectory. If `flights` lacks it, only the plan is returned.
 
     Parameters
     ----------
     flights : sequence of StyledFlight
         Flights, the plan first.
     """
+    # The reference of this flight is independent of the plan, so that the comparison is fair.
     return tuple(
         flight for index, flight in enumerate(flights) if index == 0 or flight.name == FAIR_BASELINE
     )

@@ -353,8 +353,8 @@ AIMS_NAME = "energy_and_charge.csv"
 def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
-    Each point of the front is the optimal flight for one price of time. The price of time is the
-    extra energy that is accepted to shorten the flight by one second [J/s = W].
+    Each point of the front is the optimal flight for one price of time: the extra energy accepted
+    to shorten the flight by one second [J/s = W].
 
     Parameters
     ----------

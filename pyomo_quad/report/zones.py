@@ -78,12 +78,12 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_faces, n_corners, 3)
-        Corners in m. A polygon with fewer than n_corners corners repeats its last corner, so that
-        all polygons have the same length. Matplotlib itself would pad short polygons with
-        uninitialised memory, and then choose wrong axis limits.
+        Corners in m. A polygon with fewer than n_corners corners repeats its last corner.
     """
     cut = [face for face in (_clipped(face, limits) for face in _whole_faces(zone)) if len(face)]
     most = max(map(len, cut), default=0)
+    # Matplotlib itself would pad short polygons with uninitialised memory, and then choose wrong
+    # axis limits.
     padded = [np.vstack([face, np.repeat(face[-1:], most - len(face), axis=0)]) for face in cut]
     return np.reshape(padded, (len(cut), most, 3))
 
@@ -91,10 +91,7 @@ def faces(zone: KeepOut, limits: FloatArray) -> FloatArray:
 def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
     """Yield the faces of a keep-out zone, not yet cut off at the limits of a figure.
 
-    Each face holds the corners of a polygon in m, shape (n_corners, 3). Horizontal cross-sections
-    of the zone are taken at increasing heights. Faces with four corners join neighbouring
-    cross-sections. For every shape except the sphere, the bottom and the top of the zone are faces
-    too.
+    Each face holds the corners of a polygon [m], shape (n_corners, 3).
     """
     low, high = box_around(zone)
     middle, half = (low + high) / 2, (high - low) / 2
@@ -114,8 +111,10 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
         for width, height in levels
     ]
     if zone.shape is not Shape.SPHERE:
+        # Bottom and top of the zone; those of a sphere are single points.
         yield rings[0]
         yield rings[-1]
+    # Faces with four corners join neighbouring horizontal cross-sections of the zone.
     for below, above in pairwise(rings):
         for k in range(len(ring)):
             yield np.array([below[k - 1], below[k], above[k], above[k - 1]])
@@ -124,9 +123,8 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
 def _clipped(face: FloatArray, limits: FloatArray) -> FloatArray:
     """Clip a convex polygon to an axis-parallel box (algorithm of Sutherland and Hodgman).
 
-    `face` holds the corners of the polygon in order, shape (n_corners, 3), and `limits` the least
-    and the greatest x, y and z of the box, shape (3, 2), all in m. The result holds the corners of
-    the clipped polygon, shape (n, 3); it is empty if the polygon lies outside the box.
+    `face` and the result hold corners in order [m], shape (n, 3). `limits` holds the least and the
+    greatest x, y and z, shape (3, 2). The result may be empty.
     """
     for axis, ends in enumerate(limits):
         for side, end in zip((1.0, -1.0), ends, strict=True):

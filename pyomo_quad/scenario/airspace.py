@@ -38,9 +38,8 @@ class Ball(NamedTuple):
     """Sphere, infinite vertical cylinder, or slab: every keep-out zone is an intersection of these.
 
     A ball is the set of places whose distance from a centre is at most a radius. The distance is
-    measured in three coordinates (x, y, z) for a sphere, in two (x, y) for a cylinder, and in one
-    for a slab. A slab is the space between two parallel planes. In its one coordinate it is an
-    interval, and it is called an interval below. Each keep-out zone is an intersection of balls:
+    measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for a
+    slab, the space between two parallel planes. In its coordinate, a slab is an interval:
 
     zone | balls
     sphere | one ball in x, y and z
@@ -69,12 +68,10 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places in which the distance from the centre is measured.
+        """Return the coordinates of places with which `depth` computes the distance to the centre.
 
-        These are x, y and z for a sphere, and x and y for an infinite vertical cylinder. An
-        interval (the space between two parallel planes) has a single coordinate: x, y, z, or the
-        position along the normal of a polygon's edge. A place is in the ball if its distance from
-        the centre in these coordinates is at most the radius.
+        These are x, y and z for a sphere, and x and y for a cylinder. For an interval, the result
+        is x, y or z, or the position along the normal of a polygon's edge.
 
         Parameters
         ----------
@@ -128,9 +125,8 @@ _STRAIGHT = 1e-9
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     """Return twice the signed area of the triangle that each corner forms with its neighbours.
 
-    The sign shows how the outline of the polygon turns at the corner: to the left if positive, to
-    the right if negative. At zero the corner is on the straight line between its neighbours. If the
-    corners of a convex polygon are in counter-clockwise order, all values are positive or zero.
+    The outline turns left at a corner with a positive area and right with a negative area. A convex
+    polygon in counter-clockwise order has no negative area.
 
     Parameters
     ----------
@@ -198,10 +194,8 @@ def _edges_of(
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
-    `corners` holds the corners x, y of the polygon in order [m]. A slab is the space between two
-    parallel vertical planes. Here it is a `Ball` with one coordinate, the position along the edge's
-    normal. The intersection of all slabs is the polygon. Two parallel edges have a common slab,
-    which is yielded only once.
+    `corners` are in order [m]. The intersection of the slabs is the polygon. Parallel edges have a
+    common slab.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -325,9 +319,8 @@ class KeepOut(Part):
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the depth of places inside the zone [m], negative outside.
 
-        The depth is the least of the depths in the balls whose intersection is the zone (see
-        `balls`). Inside the zone, it is the distance to the nearest face. Outside, its magnitude is
-        at most the distance from the zone.
+        Inside the zone, the depth is the distance to the nearest face. Outside, its magnitude is at
+        most the distance from the zone.
 
         Parameters
         ----------
@@ -429,8 +422,8 @@ class TerrainGrid(Part):
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
         """Return a smooth surface of heights at which a horizontal flight home clears the terrain.
 
-        The flight home is straight. At each place, the surface is at least as high as the highest
-        ground below the straight line from the place to the home.
+        At each place, the surface is at least as high as the highest ground on the straight line
+        from there to the home.
 
         Parameters
         ----------
@@ -448,8 +441,8 @@ class TerrainGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's four edges, by name ("west", "east", "south", "north").
 
-        Each value is a tuple: the axis (0 for x, 1 for y), the end of the axis (-1 for the lower
-        end, 1 for the upper end) and the coordinate of the edge on the axis [m].
+        A position holds the axis (0 for x, 1 for y), the end of this axis (-1 lower, 1 upper) and
+        the edge's coordinate on it [m].
         """
         return {
             "west": (0, -1.0, self.x[0]),
@@ -618,8 +611,7 @@ class Airspace(Part):
     def with_clearance(self, zone: KeepOut) -> str:
         """Return the words by which messages name a zone, as in "mast with its clearance of 2 m".
 
-        The clearance is the distance that the flight must keep from every keep-out zone. If it is
-        zero, only the zone's name is returned.
+        If the clearance is zero, only the zone's name is returned.
         """
         near = f" with its clearance of {self.clearance:g} m" if self.clearance else ""
         return f"{zone.name}{near}"

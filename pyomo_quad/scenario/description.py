@@ -224,10 +224,8 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
     """Return JSON Schemas for alternative notations of a field in a file.
 
-    Two kinds of fields have an alternative notation:
-
-    - A place may be given by latitude and longitude instead of x, y and z.
-    - The direction of a wind may be given as the direction from which the wind blows.
+    A place may be given by latitude and longitude, and a wind direction as the direction from which
+    the wind blows.
 
     Parameters
     ----------
@@ -351,8 +349,8 @@ def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     """Return the allowed range of a number in words, followed by the reason for the range.
 
-    A number must be in the field's plausible range and between the minimum and the maximum of the
-    JSON Schema. The result states the range that satisfies both.
+    The allowed range is the intersection of the plausible range and the range between minimum and
+    maximum of the JSON Schema.
 
     Parameters
     ----------

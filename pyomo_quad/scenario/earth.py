@@ -3,9 +3,7 @@
 The frame of a mission is east-north-up ("enu"): x is east, y north and z up from the origin, in
 metres. The plane z = 0 is tangent to the earth at the origin. The earth's surface lies below this
 plane: by 8 cm at 1 km from the origin, and by 8 m at 10 km. Latitude and longitude refer to WGS 84.
-All altitudes of a mission must have a common reference level, usually the sea. The library PROJ
-converts between the coordinates (conversion `topocentric`). A conversion followed by its inverse
-moves a place by at most 0.01 mm.
+All altitudes of a mission must have a common reference level, usually the sea.
 """
 
 from collections.abc import Mapping
@@ -103,6 +101,7 @@ class GeodeticOrigin(Part):
     def _topocentric(self) -> Any:  # noqa: ANN401  pyproj has no types that mypy reads here
         from pyproj import Transformer  # noqa: PLC0415  for places on the globe alone
 
+        # A conversion by PROJ, followed by its inverse, moves a place by at most 0.01 mm.
         return Transformer.from_pipeline(
             "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
             "+step +proj=cart +ellps=WGS84 +step +proj=topocentric +ellps=WGS84 "

@@ -112,8 +112,7 @@ class Part(BaseModel):
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
         A late field is a field that earlier versions of the package did not have. The record leaves
-        out each late field whose value is the default. A scenario that uses no late field thus has
-        the same record in all versions of the package. All other fields are in the record.
+        out late fields with the default value.
 
         Parameters
         ----------
@@ -128,6 +127,8 @@ class Part(BaseModel):
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():
             is_late = _declared_with(type(self), name, "is_late")
+            # A scenario that uses no late field thus has the same record in all versions of the
+            # package.
             if is_late and getattr(self, name) == field.default:
                 written.pop(name, None)
         return written
@@ -286,12 +287,10 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
-    """Return the initial value of a field: its value if a user's scenario file omits it.
+    """Return the initial value of a field, or None if the field has no initial value.
 
-    Only a few fields have an initial value. For all other fields the result is None, and a missing
-    field gets its default. The initial value is for files that users write. In a scenario that the
-    package has stored, for example in a report, every missing field gets its default. The function
-    `quantity` declares both values.
+    If a user's scenario file omits the field, the field gets the initial value. If a scenario that
+    the package has stored omits it, the field gets its default instead (see `quantity`).
 
     Parameters
     ----------

@@ -4,9 +4,9 @@ Keep-out zones must be convex. To keep the flight out of a zone, the model requi
 the flight to lie on the outer side of the plane of at least one face. In a concave zone, some inner
 places satisfy this condition, too.
 
-A concave polygon is divided into convex zones NAME-1, NAME-2 and so on, which together cover the
-polygon. A concave fence is replaced by its convex hull. The parts of the hull outside the fence
-become keep-out zones fence-1, fence-2 and so on.
+A concave polygon is divided into convex zones NAME-1, NAME-2 and so on. A concave fence is replaced
+by its convex hull. The parts of the hull outside the fence become keep-out zones fence-1, fence-2
+and so on.
 """
 
 import json
@@ -31,9 +31,7 @@ _Ring = list[tuple[float, float]]
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
-    A concave fence is replaced by its convex hull, and the parts of the hull outside the fence
-    become keep-out zones. Invalid polygons are kept as they are; the validation of the scenario
-    rejects them later.
+    Invalid polygons are kept as they are. The validation of the scenario rejects them later.
 
     Parameters
     ----------
@@ -258,10 +256,8 @@ def _height(
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
     """Yield the rings (closed outlines) of each polygon of a GeoJSON feature.
 
-    `feature` is the feature as read from the file. For each polygon the function yields a list: the
-    outer ring, then the rings of any holes. It raises a ScenarioError if the geometry is not a
-    Polygon or MultiPolygon. `where`, the file and the feature, is the beginning of the error
-    message.
+    The outer ring precedes the rings of holes. Raises a ScenarioError, which begins with `where`,
+    if the geometry is not a Polygon or MultiPolygon.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}

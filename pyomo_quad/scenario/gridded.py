@@ -147,10 +147,8 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
 def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Gridded:
     """Convert the axes of gridded data to metres from the mission's origin.
 
-    Longitudes are converted to x at the grid's middle latitude, and latitudes to y at the grid's
-    middle longitude. At other grid points the conversion is approximate, because the meridians
-    converge toward the poles. The error is greatest at the corners of the grid. If it is too large
-    there, the grid spans too much of the earth, and a ScenarioError is raised.
+    Longitudes are converted at the grid's middle latitude, and latitudes at its middle longitude.
+    Raises a ScenarioError if the grid spans too much of the earth.
 
     Parameters
     ----------
@@ -184,6 +182,8 @@ def _on_middle_lines(
     x = origin.local([(middle[1], at, 0.0) for at in east])[:, 0]
     y = origin.local([(at, middle[0], 0.0) for at in north])[:, 1]
     steps = [np.abs(np.diff(axis)).min(initial=np.inf) for axis in (x, y)]
+    # Away from the middle lines the conversion is approximate, because the meridians converge
+    # toward the poles. The error is greatest at the corners of the grid.
     for row, column in ((0, 0), (0, -1), (-1, 0), (-1, -1)):
         corner = origin.local([(north[row], east[column], 0.0)])[0]
         off = np.abs(corner[:2] - (x[column], y[row]))
@@ -251,8 +251,8 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    `variables` holds the variables of the file by name. A variable matches if its name in the file
-    or its attribute `standard_name` is one of `names`. Earlier members of `names` have precedence.
+    A variable's name or its attribute `standard_name` must match. Earlier members of `names` have
+    precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -335,8 +335,8 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
     """Raise an error if the columns of a table do not fit a given quantity on a grid.
 
-    The table must have columns for x and y and for the required components of the quantity. Columns
-    for the other axes and components are optional. Unknown or repeated columns are an error.
+    Columns for x, y and the required components must exist. Other axes and components are optional.
+    Unknown and repeated columns are errors.
 
     Parameters
     ----------
@@ -365,11 +365,10 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Return gridded data with ascending axes.
+    """Sort gridded data so that all axes ascend, and drop unneeded axes of height or time.
 
-    `field` is the data as read from the file. The values are reordered with the axes. A height or
-    time axis with a single point is dropped. The function raises a ScenarioError if the axis x or y
-    is missing, or if there are too many values. `place` is the beginning of the error message.
+    An axis of height or time is dropped if it has only one point. Raises a ScenarioError, which
+    begins with `place`, if the axis x or y is missing, or if there are too many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

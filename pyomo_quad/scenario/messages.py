@@ -116,13 +116,12 @@ def listed(lines: Sequence[str]) -> str:
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
     """Return the path of a pydantic error without the type name that pydantic may append.
 
-    Some fields, such as `mission.duration`, accept either a number or a word. If the value is
-    invalid, pydantic reports one error for each type, and appends the name of the type to the
-    field's path. `path` is the path that pydantic reports, and `model` the model class of the
-    validated table.
+    `path` is the path that pydantic reports, and `model` the model class of the validated table.
     """
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
+    # Some fields, such as `mission.duration`, accept a number or a word. For an invalid value,
+    # pydantic reports one error for each type, and appends the name of the type to the path.
     is_branch = len(path) > 1 and bool(words_of(table, str(path[-2]))) and isinstance(last, str)
     return path[:-1] if is_branch else path
 
@@ -183,7 +182,7 @@ def declared_place(
     """Return the innermost table on the path of a field, and the unit of the field.
 
     For the path `mission.goal.position[2]` the innermost table is `goal`, and the unit is that of
-    the field `position`. Error messages state the unit, and suggest other fields of the table.
+    `position`.
 
     Parameters
     ----------
@@ -276,8 +275,7 @@ def _unknown_key(
 def _meant(table: type[BaseModel], unknown: str) -> list[str]:
     """Return the keys of a table that a user probably meant by an unknown key.
 
-    `table` is the model class of the table, and `unknown` the key that the user wrote. The keys
-    include keys for other units, such as `roll_max_deg`. The result is empty if no key is similar.
+    The keys include keys for other units, such as `roll_max_deg`. The list may be empty.
     """
     meant = [name for name in table.model_fields if unknown in other_names_of(table, name)]
     return meant or get_close_matches(unknown, [*table.model_fields, *unit_keys_of(table)], n=1)
@@ -286,8 +284,7 @@ def _meant(table: type[BaseModel], unknown: str) -> list[str]:
 def _example(model: type[BaseModel], name: str) -> str:
     """Return an example value of a field in TOML, for error messages; empty if there is none.
 
-    `model` is the model class of the table that has the field, and `name` the name of the field. If
-    the field is itself a table, the example is a table of its required fields.
+    The example of a table has its required fields.
     """
     nested = table_of(model, name)
     if nested is None:

@@ -273,15 +273,15 @@ class Mission(Part):
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return the times at which waypoints are reached and left, and the end time.
 
-        A leg is the flight from one place (start, waypoint or goal) to the next. A place may have a
-        prescribed time; that of the start is 0. All legs between two prescribed times are made
-        longer or shorter by a common factor, so that the second place is reached on time. Legs
-        after the last prescribed time keep their desired durations.
+        The durations of all legs between two prescribed times are multiplied by a common factor, so
+        that these times are met. The start has the prescribed time 0. Legs after the last
+        prescribed time keep their desired durations.
 
         Parameters
         ----------
         legs : sequence of float
-            Desired duration of each leg [s], without the times of hovering at waypoints.
+            Desired duration of each leg [s], without the times of hovering at waypoints. A leg is
+            the flight from one place (start, waypoint or goal) to the next.
 
         Returns
         -------
@@ -347,11 +347,8 @@ class Mission(Part):
     def chosen(self, duration: float) -> dict[str, float | str | None]:
         """Return the new values of the fields that change if a free duration becomes fixed.
 
-        Some values are allowed only with a free duration, and are therefore replaced:
-
-        - The limits on the duration and the price of time (energy equivalent of a second [W]) get
-          their defaults.
-        - The aim of least time is replaced by the aim of least energy.
+        The limits on the duration and the price of time get their defaults. The aim of least time
+        becomes the aim of least energy.
 
         Parameters
         ----------
@@ -364,6 +361,7 @@ class Mission(Part):
             Values of the fields of the table `mission`, by name.
         """
         free = Mission.model_fields
+        # These values, and the aim of least time, are allowed only with a free duration.
         by = ("duration_min", "duration_max", "price_of_time")
         aim = Aim.ENERGY if self.aim is Aim.TIME else self.aim
         return {"duration": duration, "aim": aim} | {name: free[name].default for name in by}

@@ -127,17 +127,10 @@ def contradictions(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[C
 
 
 def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
-    """Yield remarks on numbers of a vehicle that are doubtful but not impossible.
+    """Yield at most two remarks on numbers of a vehicle that are doubtful but not impossible.
 
-    Each remark is a text for the user. There are at most two.
-
-    The remark on the motors concerns the product of torque constant [N m/A] and voltage constant
-    [rad/s/V]. The product is 1 for a real motor, because a motor conserves energy. The remark is
-    made if the product differs from 1 noticeably, but not by more than rounding of the constants
-    can explain.
-
-    The remark on the rotors concerns their figure of merit: ideal power divided by shaft power in
-    hover. The remark is made if the figure of merit is unusually high.
+    The first concerns motor constants whose product differs from 1. The second concerns a high
+    figure of merit of the rotors: ideal power divided by shaft power in hover.
 
     Parameters
     ----------
@@ -149,6 +142,8 @@ def remarks(vehicle: Vehicle, power: Power, gravity: float) -> Iterator[str]:
         Acceleration of gravity [m/s²].
     """
     motor = vehicle.motor
+    # The product is 1 for a real motor. A difference up to `ROUNDED` may come from rounding of the
+    # constants; a larger one is an error.
     if motor is not None and _SEEN < abs(motor.product - 1) <= ROUNDED:
         slowest = _least_speed(motor, vehicle.drag_torque_coefficient)
         at = f" below {slowest:.3g} rad/s a motor gives out more than it takes," if slowest else ""
@@ -177,11 +172,8 @@ def _motor_constants(motor: MotorConstants) -> str:
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
     """Return the least rotor speed at which a motor gives out no more power than it takes in.
 
-    In the motor model, a motor creates power if torque constant times voltage constant exceeds 1.
-    The created power is torque times speed times a constant, and grows with the third power of the
-    speed. The copper loss is resistance times current squared, and grows with the fourth power. At
-    the returned speed, the copper loss equals the created power. Above it, the copper loss is
-    greater.
+    A motor of the model creates power if torque constant times voltage constant exceeds 1. Above
+    the returned speed, its copper loss exceeds the created power.
 
     Parameters
     ----------
@@ -195,6 +187,9 @@ def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float
     float
         Rotor speed [rad/s]; 0 if the motor creates no power at any speed.
     """
+    # The created power is torque times speed times a constant, and grows with the third power of
+    # the speed. The copper loss is resistance times current squared, and grows with the fourth
+    # power. Both are equal at the returned speed.
     created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
     return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
 

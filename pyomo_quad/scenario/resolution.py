@@ -339,10 +339,8 @@ def _entry(
 def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
     """Read a user's own vehicle, battery or wind from a file.
 
-    The file has the structure of the library's files: the sections `fields` and, for a vehicle,
-    `limits`. A number stands alone, or as a table of `value` and `source`. At the top of the file,
-    the key `use` may name a library entry, which supplies the values that are missing in the file.
-    In a vehicle file, the key `battery` may name the battery pack.
+    The file has the structure of the library's files. Its key `use` may name a library entry, which
+    supplies missing values. In a vehicle file, the key `battery` may name the battery pack.
 
     Parameters
     ----------
@@ -403,9 +401,8 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
     """Yield an error message for each number in a library file that is written in a wrong form.
 
-    Two forms are allowed. A number may stand alone, as in ``mass = 1.3``. It may also be a table
-    with the keys `value` and `source` only, as in ``mass = {value = 1.3, source = "data sheet"}``.
-    The source must be a text.
+    A number stands alone, as in ``mass = 1.3``, or in a table with the keys `value` and `source` (a
+    text).
 
     Parameters
     ----------
@@ -505,10 +502,8 @@ class Resolution:
 def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     """Complete the tables of a scenario from initial values, library, data files and overrides.
 
-    A few fields have an initial value, which differs from their default. This function fills it in
-    if a user's scenario file leaves the field out. In a scenario that the package has stored, for
-    example in a report, it fills in no initial values. Fields that are still missing afterwards get
-    their defaults later, when the tables are validated.
+    If the scenario was stored by the package, initial values are not used (see `initial_of`).
+    Fields that are still missing get their defaults later, in the validation.
 
     Parameters
     ----------
@@ -531,6 +526,8 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
     provenance |= {spell(path): origin.label for path in origin.assignments}
+    # A stored scenario may lack a field because the field had its default, or because an old
+    # version of the package did not have it. In both cases the field must get its default.
     tables = {} if origin.is_resolved else _initial_values(model)
     filled = _Filled(origin=origin, own=own, provenance=provenance, tables=tables)
     for kind, table in LIBRARY_KINDS.items():
@@ -565,15 +562,8 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
     """Return the initial values of a scenario's fields, as nested tables.
 
-    Every optional field has a default. A few fields also have an initial value, which differs from
-    the default. If a user's scenario file leaves such a field out, the field gets the initial
-    value.
-
-    Initial values are only for files that users write. A scenario that the package has stored, for
-    example in a report, may lack the field because it had its default, or because an old version of
-    the package did not have the field. In both cases the field must get its default.
-
-    `model` is the Pydantic class of the scenario.
+    Only a few optional fields have an initial value. If a user's scenario file omits such a field,
+    the field gets this value instead of its default (see `initial_of`).
     """
     tables: dict[str, Any] = {}
     for path in field_paths(model):
@@ -665,12 +655,8 @@ class _Filled:
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
         """Add the values of the library entry that a table of the scenario names by its key `use`.
 
-        The key `use` may also name a user's own file with the structure of a library entry. Without
-        this key, the function adds a default entry. For a battery, the default entry is the battery
-        pack that the vehicle's entry names.
-
-        A scenario that the package has stored already contains the values of its library entries.
-        For such a scenario the function acts only if an override changes the key `use`.
+        The key may also name a user's own file. Without the key, a default entry is added. For a
+        battery, this is the pack of the vehicle's entry.
 
         Parameters
         ----------
@@ -680,6 +666,7 @@ class _Filled:
             Kind of the library entry: ``vehicles``, ``batteries`` or ``winds``.
         """
         use = (*place, "use")
+        # A stored scenario already contains the values of its library entries.
         if self.origin.is_resolved and use not in self.origin.assignments:
             return
         written = table_at(self.own, *place)
@@ -731,8 +718,7 @@ class _Filled:
     def put(self, path: FieldPath, value: object, said: str = "") -> None:
         """Set the value of a scenario field, and record the origin of the value.
 
-        `path` is the path of the field, `value` the new value, and `said` the origin in words. If
-        `said` is empty, no origin is recorded.
+        `said` is the origin in words. If it is empty, no origin is recorded.
         """
         self.tables = set_value(self.tables, path, value)
         if said:
@@ -770,16 +756,15 @@ class _Filled:
     def add_footprints(self) -> None:
         """Complete the keep-out zones of the table `airspace`.
 
-        If the field `airspace.file` names a GeoJSON file, its zones are added to the zones of the
-        scenario. A scenario that the package has stored, for example in a report, already contains
-        these zones; the file is then not read. Finally, every zone with a concave polygon is
-        divided into convex parts.
+        Zones of the GeoJSON file `airspace.file` are added. Then every zone with a concave polygon
+        is divided into convex parts.
         """
         airspace = self.tables.get("airspace")
         if not isinstance(airspace, Mapping):
             return
         zones, file = airspace.get("keep_out", ()), airspace.get("file")
         is_listed = isinstance(zones, list | tuple)
+        # A stored scenario already contains the zones of the file.
         if isinstance(file, str) and is_listed and not self.origin.is_resolved:
             where = self.naming(("airspace", "file"), file)
             read = read_footprints(self.origin.folder / file, where, self.on_earth())
@@ -790,12 +775,8 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        A scenario that the package has stored, for example in a report, may already contain the
-        heights. The file is then not read again.
-
-        The floor, `airspace.floor`, is the least allowed height above the ground. If it is missing,
-        the function sets it equal to the clearance, `airspace.clearance`, which is the least
-        allowed distance from keep-out zones. If both are missing, the floor is set to 0.
+        If the scenario gives no floor (least height above the ground), the floor is set to the
+        clearance from keep-out zones. If it gives no clearance either, the floor is 0.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -816,10 +797,8 @@ class _Filled:
     def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
         """Return whether a stored scenario already contains the content of a data file.
 
-        A stored scenario contains the content of each data file that was read. The file itself may
-        be impossible to find: its name is relative to the folder of the original scenario file, and
-        this folder is not stored. A recorded file is therefore not read again. The result is False
-        if an override changes the data file's name or content.
+        A recorded file is not read again. The result is False if an override changes the data
+        file's name or content.
 
         Parameters
         ----------
@@ -837,6 +816,8 @@ class _Filled:
             for field in fields
         )
         has_content = value_at(self.tables, *place, content) is not None
+        # The file itself may be impossible to find: its name is relative to the folder of the
+        # original scenario file, which is not stored.
         return self.origin.is_resolved and has_content and not is_overridden
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
@@ -875,14 +856,10 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured winds over time from data files.
+        """Add the measured winds over time from the files `wind.file` and `wind.forecast.file`.
 
-        `wind.file` names the file of the actual wind, and `wind.forecast.file` the file of the
-        forecast. Each of these fields may be missing.
-
-        If the duration of the mission is free and has no upper limit, the end of the measured wind
-        becomes the limit. It is counted from the start of the mission. If there are two measured
-        winds, the earlier end is used.
+        If the mission's duration is free and has no upper limit, the earliest end of a measured
+        wind becomes the limit. This end is counted from the start of the mission.
         """
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []
@@ -942,10 +919,8 @@ def _beside(file: str, pack: str) -> str:
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
     """Return the path and the value [s] of the field that limits the duration of the mission.
 
-    The field is `mission.duration` for a fixed duration, and `mission.duration_max` for a free one.
-    The value is None if the field is missing. `tables` are the scenario's tables.
-
-    The result serves to check that a measured wind is long enough for the mission.
+    The field is `mission.duration`, or `mission.duration_max` if the duration is free. The value is
+    None if the field is missing.
     """
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")

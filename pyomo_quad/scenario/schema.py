@@ -240,7 +240,7 @@ class Scenario(Part):
         """Return the scenario with a fixed duration and, optionally, passing times of waypoints.
 
         The copy has no limits on the duration and no price of time, because both apply only to a
-        free duration. The price of time is the energy equivalent of one second of flight [W].
+        free duration.
 
         Parameters
         ----------
@@ -304,12 +304,8 @@ class Scenario(Part):
     def nominal_times(self) -> tuple[float, ...]:
         """Prescribed or estimated times of the waypoints, and the end time of the flight [s].
 
-        The tuple holds two times for each waypoint in order: the arrival at the waypoint and the
-        departure from it. The last number is the end time of the flight.
-
-        A leg is the flight from one place (start, waypoint or goal) to the next. Its least time
-        follows from full acceleration over the first half of the leg and full deceleration over the
-        second half. The estimated time of the leg is twice this least time.
+        The tuple holds arrival and departure of each waypoint, then the end time. The estimated
+        time of a leg (flight from one place to the next) is twice its least time.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -319,8 +315,8 @@ class Scenario(Part):
         ways = [dist(*leg) / acceleration for leg in pairwise(mission.positions)]
         # Include the time of a turn, and of a leg that returns to its start.
         ways[-1] = max(ways[-1], abs(mission.goal.yaw - mission.start.yaw) / spin)
-        # Accelerating over half the way and decelerating over the other takes 2 sqrt(way /
-        # acceleration).
+        # The least time of a leg, with full acceleration over its first half and full deceleration
+        # over its second half, is 2 sqrt(distance / acceleration).
         legs = [_UNHURRIED * 2 * sqrt(max(way, _SHORTEST_WAY)) for way in ways]
         if not mission.is_free:
             return mission.paced(legs)
@@ -335,19 +331,14 @@ class Scenario(Part):
     def keeps_yaw(self) -> bool:
         """Whether the plan keeps the heading constant throughout the flight.
 
-        If the field `mission.yaw` is given, it decides. Otherwise the heading is constant if all of
-        these hold:
-
-        - The power model is `momentum`.
-        - The attitude kinematics are exact.
-        - The mission prescribes no turn.
-
-        In the power model `momentum` a turn costs almost no energy, so that many headings are
-        optimal. A constant heading makes the optimum unique, and is also usual for autopilots.
+        The field `mission.yaw` decides, if given. Otherwise the heading is constant if the power
+        model is `momentum`, the attitude kinematics are exact, and the mission prescribes no turn.
         """
         if self.mission.yaw is not None:
             return self.mission.yaw is Yaw.KEPT
         is_exact = self.vehicle.attitude is Attitude.EULER
+        # In the power model `momentum` a turn costs almost no energy, so that many headings are
+        # optimal. A constant heading makes the optimum unique, and is also usual for autopilots.
         is_undetermined = self.power.model is PowerModel.MOMENTUM and is_exact
         return is_undetermined and not self.mission.is_turning
 
@@ -541,9 +532,8 @@ class Scenario(Part):
 def _meaning(name: str) -> str:
     """Return the meaning of a vehicle's field in a few words, for error messages.
 
-    `name` is the name of the field. The meaning is taken from the field's description: the text
-    after the last colon, up to the next comma. For example, the description "momentum: radius of
-    one rotor (R)" gives "radius of one rotor (R)".
+    For example, the description "momentum: radius of one rotor (R)" gives "radius of one rotor
+    (R)".
     """
     meaning = (Vehicle.model_fields[name].description or name).rpartition(": ")[2]
     return meaning.partition(",")[0]

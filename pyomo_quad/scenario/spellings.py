@@ -1,8 +1,5 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-Two notations are converted: a wind direction by the key `from`, and a place by its latitude and
-longitude.
-
 The key `from` of a wind, such as `wind.from = 270`, is the direction from which the wind blows, in
 degrees clockwise from north. The key is replaced by the field `wind.direction`, the direction
 toward which the wind blows, in radians counter-clockwise from +x (east). A wind from the west, 270
@@ -153,9 +150,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
     """Return the number of coordinates of a place in a scenario: 2 or 3.
 
-    `tables` are the scenario's tables, and `path` is the path of the field that gives the place.
-    The corner of a polygon and the centre of a vertical cylinder have x and y only. Every other
-    place has x, y and z.
+    The corner of a polygon and the centre of a vertical cylinder have x and y only.
     """
     if _CORNERS in path:
         return 2

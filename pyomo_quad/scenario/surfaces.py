@@ -3,17 +3,10 @@
 Between the points of the grid the ground is bilinear. A `Surface` is a cubic spline that is nowhere
 below the ground, or nowhere above it.
 
-A surface above the ground is constructed from the cubic spline through the heights. In each cell of
-the grid, the difference d = spline - ground is a polynomial. Its values are at least its least
-Bernstein coefficient. If this coefficient is negative, -b say, all B-spline coefficients that
-influence the cell are raised by b. Each Bernstein coefficient of the spline is a weighted average
-of these B-spline coefficients, and therefore rises by at least b. Afterwards all Bernstein
-coefficients of d, and thus d itself, are at least zero. The coefficients are raised in eleven
-passes, each with new values of b: ten times by 0.3 b, then once by b. The smaller raises keep the
-surface closer to the ground.
-
-A surface below the ground is the mirror image of a surface above the mirrored ground. Mirroring
-multiplies the heights by -1.
+A surface above the ground begins as the cubic spline through the heights. Its B-spline coefficients
+are then raised until, in every cell, all Bernstein coefficients of (spline minus ground) are at
+least 0. For a surface below the ground, the heights are multiplied by -1. The surface above these
+heights is computed, and multiplied by -1. Proof: see docs/theory/homing.md.
 """
 
 from dataclasses import dataclass
@@ -66,7 +59,7 @@ class Surface:
         """Return the height of the surface at places [m].
 
         Outside the grid, where the ground is not known, the result is the height at the nearest
-        place on the border of the grid. Figures of the surroundings need a value there.
+        place on the border of the grid.
 
         Parameters
         ----------
@@ -82,6 +75,7 @@ class Surface:
 
         held = np.asarray(places, dtype=float)[..., :2]
         ends = np.array([[axis[0], axis[-1]] for axis in (self.x, self.y)])
+        # Figures of the surroundings need a value outside the grid.
         return np.asarray(NdBSpline(*self._spline, _CUBIC)(np.clip(held, *ends.T)))
 
     @cached_property
@@ -91,8 +85,6 @@ class Surface:
 
 def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Surface:
     """Construct a smooth surface that is nowhere below the ground, or nowhere above it.
-
-    The docstring of this module describes the method.
 
     Parameters
     ----------
@@ -144,9 +136,9 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
 def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: ArrayLike) -> FloatArray:
     """Return, for each point of a grid, a height that clears the terrain on a straight flight home.
 
-    Between the points, the returned heights are to be interpolated bilinearly. At each place, the
-    interpolated height is at least the height of the highest ground on the straight line from the
-    place to the home. Derivation: docs/theory/homing.md, eq. (7).
+    Between the points, the result is to be interpolated bilinearly. At each place, it is then at
+    least as high as the highest ground on the straight line from there to the home. Derivation:
+    docs/theory/homing.md, eq. (7).
 
     Parameters
     ----------

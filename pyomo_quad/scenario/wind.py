@@ -234,9 +234,9 @@ class WindGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's edges by name ("west", "east" and so on).
 
-        Each value gives the axis (0 for x, 1 for y, 2 for z), the side (-1 for the lower end, 1 for
-        the upper) and the coordinate of the edge on that axis [m]. The edges "bottom" and "top"
-        exist only if the field has heights.
+        A position holds the axis (0 for x, 1 for y, 2 for z), the end of this axis (-1 lower,
+        1 upper) and the edge's coordinate on it [m]. The edges "bottom" and "top" exist only if the
+        field has heights.
         """
         names = (("west", "east"), ("south", "north"), ("bottom", "top"))
         return {
@@ -404,15 +404,15 @@ class Wind(Part):
     def complaints(self, place: tuple[float, float, float]) -> Iterator[str]:
         """Yield an error message if the wind at a place is missing at all times of the wind field.
 
-        The wind is missing outside the grid of the field, and where the file has no value. The
-        function acts only if the scenario has a wind field and `wind.beyond` is "refuse". With
-        "hold", a missing wind is replaced by the nearest known wind.
+        The wind is missing outside the grid and where the file has no value. If there is no wind
+        field, or if `wind.beyond` is "hold", there is no message.
 
         Parameters
         ----------
         place : tuple of float
             Position x, y, z [m].
         """
+        # With "hold", the nearest known wind replaces a missing wind.
         if self.grid is None or self.beyond is Beyond.HOLD:
             return
         times = self.grid.times or (0.0,)
@@ -541,10 +541,9 @@ def with_coupling(
 ) -> dict[str, Any]:
     """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
-    The default depends on the vehicle. If the vehicle has drag coefficients, the wind acts through
-    the drag, which depends on the airspeed. Otherwise the wind acts as an acceleration by eq. (9)
-    of Yacef et al. as printed. The wind of a forecast has the coupling of the actual wind by
-    default. Couplings that the scenario gives are kept.
+    If the vehicle has drag coefficients, the wind acts through the drag. Otherwise the wind is an
+    acceleration, as printed in eq. (9) of Yacef et al. By default, a forecast has the coupling of
+    the actual wind.
 
     Parameters
     ----------

@@ -26,13 +26,10 @@ _CAUSES_ABREAST = 3
 
 
 def draw_causes(study: OutsideStudy) -> "Figure":
-    """Draw the distance of simulated flights from their plan over time.
+    """Draw the distance of simulated flights from their plan over time, without and with feedback.
 
-    RotorPy's model differs from the package's own model in several features. For example, its
-    rotors cause no gyroscopic moment. Each line is one flight in RotorPy, and most lines show the
-    effect of one such feature alone. Two more lines are for comparison: a flight in which RotorPy's
-    model equals the package's model, and a flight with RotorPy's own defaults. The first panel has
-    flights without feedback, the second panel flights under the adaptive controller.
+    Each line is one flight in RotorPy. Most lines show the effect of one feature in which RotorPy's
+    model differs from the package's model (see `CAUSES`).
 
     Parameters
     ----------

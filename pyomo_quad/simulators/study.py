@@ -1,12 +1,11 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
-The plans of the missions are flown by the package's own vehicle model (the "declared" vehicle) and
-by RotorPy's vehicle. Each plan is flown under the package's controller and without feedback. In
-RotorPy it is also flown under RotorPy's controller SE3.
+The plans of the missions are flown in two simulation models: the package's own (the "declared"
+vehicle) and RotorPy's. In both models there are flights under the package's controller and flights
+without feedback. In RotorPy's model there are also flights under RotorPy's controller SE3.
 
-RotorPy's model differs from the package's model in several features. For example, its rotors cause
-no gyroscopic moment. Each feature is changed alone, to find its contribution to the difference
-between the flights.
+RotorPy's model differs in several features; its rotors, for example, have no gyroscopic moment.
+Each feature is changed alone, to find its part in the difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -85,9 +84,9 @@ Track = tuple[np.ndarray, np.ndarray]
 class Plant(StrEnum):
     """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
 
-    `DECLARED` is the package's own model. `ROTORPY` is RotorPy's simulation, set so that its
-    equations are those of the package's model. `AS_IT_COMES` is RotorPy's simulation with RotorPy's
-    own defaults. Each further member differs from `ROTORPY` in the feature that its value names.
+    `ROTORPY` is RotorPy's simulation with the equations of the package's model (`DECLARED`).
+    `AS_IT_COMES` has RotorPy's defaults. Each other member differs from `ROTORPY` in the feature
+    that its value names.
     """
 
     DECLARED = "declared"
@@ -422,10 +421,9 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return how far a flight is from its plan over time, at fewer than 500 samples.
+    """Return how far a flight is from its plan over time, at fewer than 500 times.
 
-    The result is the array of times [s] and the array of distances [m] between the position in
-    flight and the planned position at the same time.
+    The result is two arrays: times [s], and distances [m] from the planned position at each time.
     """
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
@@ -439,8 +437,7 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
-    These parts of the mission of Yacef et al. are replaced: vehicle, goal, duration, attitude
-    kinematics (exact), power model (shaft power) and solver tolerance. All other settings are kept.
+    All settings that do not belong to the vehicle or to this mission are those of `paper`.
 
     Parameters
     ----------
@@ -477,19 +474,17 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 
 
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
-    """Yield descriptions of flights whose commanded position jumps from start to goal at once.
+    """Yield descriptions of flights whose commanded position jumps from start to goal.
 
-    The flights show the effect of an upper limit on the rotor acceleration. The first flight is one
-    of the package's own vehicle model under the adaptive controller. Four flights in RotorPy
-    follow, under the adaptive controller and under RotorPy's SE3, each with and without the limit.
-    Each description holds the function that simulates its flight.
+    RotorPy's vehicle flies with and without the scenario's limit on the rotor acceleration. The
+    flights show the effect of this limit.
 
     Parameters
     ----------
     mission : _Mission
         Mission of all flights.
     limited : OutsidePlant
-        RotorPy's vehicle with the scenario's limit on the absolute rotor acceleration.
+        RotorPy's vehicle with the limit on the absolute rotor acceleration.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -501,14 +496,8 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
 
-    All flights are in RotorPy under SE3:
-
-    - along a smooth reference trajectory, with larger gains;
-    - along the smooth trajectory, with the usual gains and a feedforward of the aerodynamic force;
-    - along the plan, with larger gains.
-
-    Each description holds the function that simulates its flight. `mission` is the mission of all
-    flights, and `plant` the simulated vehicle.
+    In some flights the controller has larger gains. In another it has a feedforward of the
+    aerodynamic force.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -521,9 +510,7 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    The returned path has the positions and velocities of `path`. Its acceleration is a - F / m,
-    where a is the acceleration of `path`, F the aerodynamic force and m the mass of the vehicle. A
-    controller that follows the returned path thus compensates the aerodynamic force.
+    Only the acceleration differs: a - F / m, where a is that of `path`, F the force and m the mass.
 
     Parameters
     ----------
@@ -550,14 +537,7 @@ def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
 def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
     """Yield descriptions of flights of one of RotorPy's vehicles, in both simulation models.
 
-    All flights follow the plan of `mission`, a mission of the vehicle:
-
-    - in the package's own model: without feedback, and under the adaptive controller;
-    - in RotorPy: without feedback, under the adaptive controller, and under RotorPy's SE3;
-    - in RotorPy under SE3 once more. The commanded heading is turned by the angle between the body
-      axes of the two models.
-
-    Each description holds the function that simulates its flight.
+    All flights follow the plan of `mission`, a mission of the vehicle.
     """
     theirs = OutsidePlant(
         mission.scenario,
@@ -570,6 +550,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
     yield mission.declared(Pilot.ADAPTIVE)
     for pilot in Pilot:
         yield mission.outside(Plant.WITHOUT_ROTOR_INERTIA, theirs, pilot)
+    # Under SE3 once more, with the heading turned by the angle between the body axes of the models.
     path = mission.path(Reference.PLAN)
 
     def turned(t: float) -> Setpoint:
@@ -582,9 +563,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield descriptions of flights that show the effect of the point at which drag acts.
 
-    In RotorPy the drag acts at the rotors, in the package's model at the centre of mass. The plan
-    of `mission` is flown in both models, under adaptive control and without feedback. Each
-    description holds the function that simulates its flight.
+    In RotorPy the drag acts at the rotors, in the declared vehicle at the centre of mass.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
@@ -602,13 +581,9 @@ def _rows(
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
     """Simulate flights, and yield the table row of each flight.
 
-    The row of a flight in RotorPy compares it with a flight of the package's own model along the
-    same reference trajectory. The row contains the difference of the two energies in percent, and
-    the distance between the two final positions.
-
-    The flight of the package's own model must come earlier in `flights`. It is the flight under the
-    same controller or, if there is none, the flight under the adaptive controller. A flight of the
-    package's own model is compared with itself, so that its differences are 0.
+    Each flight is compared with a flight of the declared vehicle along the same reference, which
+    must come earlier in `flights`. If there is none under the same controller, the one under the
+    adaptive controller is taken.
 
     Parameters
     ----------
@@ -622,7 +597,8 @@ def _rows(
     ------
     dict, Flown, Flight or None
         Values by column name, the description of the flight, and the simulated flight. The
-        simulated flight is None if the flight went out of control.
+        simulated flight is None if the flight went out of control. The values contain the
+        difference in energy in percent, and the distance between the two final positions.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
@@ -634,6 +610,7 @@ def _rows(
             yield row | {OutsideColumn.ARRIVED: False, OutsideColumn.VERIFIED: False}, flown, None
             continue
         key = flown.controller, flown.followed
+        # A declared flight is compared with itself: its differences are 0.
         if flown.plant is Plant.DECLARED:
             declared[key] = flight
         ours = declared.get(key) or declared.get((Pilot.ADAPTIVE, flown.followed))

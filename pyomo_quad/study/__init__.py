@@ -1,9 +1,7 @@
 """Studies of one scenario: checks of the mission, the complete run, and analyses of its plan.
 
-The checks are made before the solve. The complete run plans the mission, simulates the plan and the
-baseline flights, and compares their energies.
-
-The analyses include:
+The complete run plans the mission, simulates the plan and the baseline flights, and compares their
+energies. The analyses include:
 
 - the tuning of an autopilot for comparison with the plan;
 - a lower bound on the energy;

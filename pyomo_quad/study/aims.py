@@ -1,11 +1,9 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
-The energy is measured at the terminals of the battery. The charge also pays for the loss inside the
-battery, where the current heats the internal resistance. At equal mean power, this loss is greater
-if the power varies. The two objectives may therefore have different optima.
-
-The scenario's field `mission.aim` selects the objective of a plan. This module also solves the
-mission for the other objective, on the mesh of the plan, and tabulates both plans.
+The energy is measured at the terminals of the battery. The charge also pays for the loss in the
+internal resistance. At equal mean power, this loss is greater if the power varies. The two
+objectives may therefore have different optima. The field `mission.aim` selects the objective of a
+plan.
 """
 
 from typing import TYPE_CHECKING
@@ -35,9 +33,8 @@ _ALIKE = 1e-4
 class AimColumn(TableColumn):
     """Columns of the table that compares the plans of least energy and least charge.
 
-    Each row of the table is one of the two plans. The columns are, from left to right: objective of
-    the plan, energy, charge, and whether the plan is the run's own plan. The other of the two plans
-    was solved only for the comparison.
+    Each row is one of the two plans, with its objective, energy and charge. `IS_PLAN` says whether
+    it is the plan of the run; the other plan was solved only for the comparison.
     """
 
     AIM = "aim"
@@ -64,10 +61,8 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The two objectives are least energy and least charge. The scenario's field `mission.aim` selects
-    the objective of the given plan. The function solves the mission for the other objective. The
-    given plan is the initial guess, and its mesh is used without refinement. The solve is stopped
-    after 90 seconds of processor time. A simulation checks the result.
+    The other plan is solved from the given one, on its mesh, within 90 seconds of processor time,
+    and checked by a simulation.
 
     Parameters
     ----------
@@ -126,8 +121,7 @@ def _is_better(found: Plan, plan: Plan) -> bool:
 def charge_beyond_least(aims: "pd.DataFrame") -> float:
     """Return the excess charge of the plan of least energy, as a fraction of the least charge.
 
-    The result is (charge of the plan of least energy - least charge) / least charge. `aims` is a
-    table from `energy_and_charge` that is not empty.
+    `aims` is a table from `energy_and_charge` that is not empty.
     """
     of_energy, of_charge = aims[AimColumn.CHARGE]
     return float(of_energy / of_charge - 1.0)

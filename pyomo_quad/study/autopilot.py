@@ -3,15 +3,10 @@
 A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
 limit on acceleration and one on jerk. The module `flight.routes` computes this motion.
 
-The energy saving of a plan is measured against an autopilot. For a fair comparison, the three
-settings of the autopilot (speed, acceleration and jerk) are tuned for least energy, by Nelder and
-Mead's method. Each flight of the search is simulated under the controller. A flight that breaks a
-limit of the vehicle or misses the goal is penalised. One triple of settings serves the whole
-mission.
-
-On long legs, nearly all of the flight is steady. If all legs are long compared with the distance of
-acceleration, the search therefore begins at the speed of least energy per metre in steady flight,
-and tries speeds near this speed.
+The energy saving of a plan is measured against an autopilot. For a fair comparison, its three
+settings, equal on all legs, are tuned for least energy by Nelder and Mead's method. Each flight of
+the search is simulated under the controller. A flight that breaks a limit of the vehicle or misses
+the goal is penalised.
 """
 
 from dataclasses import dataclass, replace
@@ -90,10 +85,8 @@ _CONFIRMED = 4
 class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
-    The settings are limits on speed, acceleration and jerk. The flight is simulated at reduced
-    accuracy. A flight has arrived if it ends near the goal and nearly at rest. The cost of the
-    flight is what the search minimises: the energy, increased by a penalty if the flight breaks a
-    limit or does not arrive.
+    The flight is simulated at reduced accuracy. It has arrived if it ends near the goal and nearly
+    at rest.
     """
 
     settings: CruiseSettings
@@ -139,10 +132,9 @@ def fly_cruise(
 ) -> Flight:
     """Simulate a mission as an autopilot flies it, straight between waypoints.
 
-    At its end, the autopilot's reference trajectory waits at the goal until the vehicle is near the
-    goal and nearly at rest. The longest wait is the last item of `SETTLINGS_S`, a tuple of waiting
-    times [s]. In a mission of fixed duration, the flight lasts at least until the end of the
-    mission.
+    After the end of the reference trajectory, the vehicle hovers at the goal until it has arrived,
+    for at most `SETTLINGS_S[-1]` seconds. If the mission has a fixed duration, the flight lasts at
+    least as long.
 
     Parameters
     ----------
@@ -172,11 +164,10 @@ def fly_cruise(
 def _with_longest_wait(
     scenario: Scenario, settings: CruiseSettings, planner: Planner
 ) -> tuple[Scenario, Dynamics]:
-    """Return mission and dynamics of an autopilot's flight that ends with a long wait at the goal.
+    """Return mission and dynamics of an autopilot's flight with the longest wait at the goal.
 
-    The wait is the last and longest item of `SETTLINGS_S`, a tuple of waiting times [s]. The
-    callers simulate the flight with this wait, and then end it at the first time at which the
-    vehicle has arrived.
+    The wait is `SETTLINGS_S[-1]` [s]. Callers end the simulated flight when the vehicle has
+    arrived.
 
     Parameters
     ----------
@@ -206,15 +197,11 @@ def _least(scenario: Scenario) -> float:
 
 
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
-    """Return the time at which a simulated flight of an autopilot can end [s].
+    """Return the earliest time at which a simulated flight of an autopilot can end [s].
 
-    The flight can end at the first time at which all of these hold:
-
-    - The vehicle is near the goal and nearly at rest.
-    - The reference trajectory has reached the goal.
-    - In a mission of fixed duration, the duration has elapsed.
-
-    If there is no such time, the result is the last time in `flown`.
+    The vehicle has arrived at this time, and the reference trajectory is over. If the mission has a
+    fixed duration, this is over too. If the vehicle never arrives, the result is the last time in
+    `flown`.
 
     Parameters
     ----------
@@ -338,10 +325,8 @@ def _start_of_search(
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Return the initial simplex of the search for an autopilot's settings, as two triples.
 
-    Nelder and Mead's method searches for the best limits on speed, acceleration and jerk. The
-    simplex has four vertices. The first is the triple `settings`. Each other vertex has one of the
-    three settings multiplied by its factor in the triple `factors`. `scenario` is the mission, and
-    `planner` holds the compiled equations.
+    The simplex has four vertices. The first is `settings`. Each other vertex differs from it in one
+    setting, which is multiplied by its factor.
 
     Returns
     -------
@@ -355,6 +340,7 @@ def _start_of_search(
     _, acceleration, jerk = _FIRST
     if min(lengths) < _LONG * _FIRST[0] ** 2 / acceleration:
         return _FIRST, _FACTORS
+    # On long legs nearly all of the flight is steady, at the speed of least energy per metre.
     steady = SteadyFlight(scenario, planner.dynamics(scenario))
     course = (places[-1] - places[-2]) / lengths[-1]
     speed = min(best_speed(steady, course, 0.0), scenario.limits.speed_max or inf)
@@ -415,9 +401,8 @@ def _tried(
 class TuningColumn(TableColumn):
     """Columns of the table of settings that the tuning of an autopilot tried.
 
-    Each row of the table is one choice of the settings speed, acceleration and jerk, with the
-    results of its simulated flight. The columns are, from left to right: speed and acceleration,
-    each as set and as reached; jerk; duration; energy; whether the flight arrived; broken limits.
+    Each row is one choice of speed, acceleration and jerk, with the results of its simulated
+    flight. Speed and acceleration have two columns: as set, and as reached.
     """
 
     SPEED = "speed_asked_m_per_s", lambda one: one.settings.speed
@@ -434,7 +419,6 @@ class TuningColumn(TableColumn):
 def tuning_table(tuning: Tuning | None) -> "pd.DataFrame":
     """Return a table of the settings that the tuning of an autopilot tried, in the order tried.
 
-    The table is empty if `tuning` is None. The energies were computed in the search, at reduced
-    accuracy; `Tuning.flight` has the energy of the best settings to full accuracy.
+    The table is empty if `tuning` is None. Its energies have the reduced accuracy of the search.
     """
     return TuningColumn.of_objects(() if tuning is None else tuning.tried)

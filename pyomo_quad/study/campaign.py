@@ -1,12 +1,11 @@
 """Campaign: missions repeated on each battery charge until no further flight is possible.
 
-A campaign uses one or more battery charges. On one charge, each flight starts with the state of
-charge, relaxation voltage and temperature that the battery has at the end of the flight before it.
-The previous plan of a mission is the initial guess for its next plan.
+On one charge, each flight starts with the state of charge, relaxation voltage and temperature that
+the battery has at the end of the flight before it. The battery neither rests between flights nor
+ages.
 
-The flights on one charge end when the next flight has no plan. This is the case if the flight would
-leave less charge than the reserve, or if the voltage would fall below its limit. The battery
-neither rests between two flights on one charge, nor ages.
+The flights on one charge end when the next flight has no plan, because it would leave less charge
+than the reserve, or because the voltage would fall below its limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -43,9 +42,7 @@ CHARGE_RESERVE = "charge reserve"
 class CampaignColumn(TableColumn):
     """Columns of the table of a campaign's flights, one row for each flight.
 
-    A campaign is a series of missions repeated on one or more battery charges. The columns are,
-    from left to right: number of the battery charge, number of the flight on this charge, name of
-    the mission, duration, energy, state of charge at the start and at the end, lowest voltage.
+    A campaign is a series of missions repeated on one or more battery charges.
     """
 
     CHARGE = "charge", lambda flight: flight.charge
@@ -119,12 +116,7 @@ class Campaign(Summarised):
 
     @property
     def summary(self) -> dict[str, str]:
-        """Summary of the campaign, as a mapping from the name of a result to its value as text.
-
-        The results are the names of the missions, the number of flights on each battery charge, the
-        reason why the flights on each charge ended, and the total duration and energy of all
-        flights.
-        """
+        """Summary of the campaign, as a mapping from the name of a result to its value as text."""
         plans = [flight.plan for flight in self.flights]
         return {
             "missions": self.name,
@@ -226,6 +218,7 @@ def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | s
         used = before - _flight(1, 1, last).charge_at_end
         if present.battery.initial_state_of_charge - used < _FULL * present.limits.least_charge:
             return CHARGE_RESERVE
+    # The previous plan of the mission is the initial guess.
     plan = planner.solve(present, warm_start=last)
     if not plan.is_flyable:
         return _obstacle(present, last, planner) or plan.message
@@ -258,8 +251,8 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
     """Return the limits that a mission's previous plan would break on the remaining charge.
 
-    The function simulates the controls of the previous plan from the present state of the battery.
-    The limits that break explain why the campaign has no further flight.
+    The broken limits explain why the campaign has no further flight. The plan's controls are
+    simulated from the battery's present state.
 
     Parameters
     ----------

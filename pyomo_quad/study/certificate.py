@@ -42,10 +42,8 @@ _QUADRATURE_ERROR = 1e-10
 class ThrustMoments:
     """Two weighted integrals of the thrust over a flight, fixed by the boundary conditions alone.
 
-    The integrals have the same values for every flight from rest to rest with a given displacement
-    and duration. The first integral follows from the momentum balance (docs/theory/bound.md, eq.
-    (2)), the second from the displacement (eq. (4)). Their values give a lower bound on the energy
-    of every flight, and a lower bound on its largest thrust.
+    The first follows from the momentum balance (docs/theory/bound.md, eq. (2)), the second from the
+    displacement (eq. (4)).
 
     Parameters
     ----------
@@ -64,8 +62,8 @@ class ThrustMoments:
     weights : ndarray, shape (2, n, 3)
         Dimensionless weights of the thrust in the first and the second integral, at the nodes,
         along each axis. The first weight is 1. The second is (k(t) - mean of k over the flight) /
-        duration. An increase of the velocity by dv at the time t moves the end of the flight by
-        k(t) dv along the axis (docs/theory/bound.md, eq. (3)).
+        duration, with k(t) from docs/theory/bound.md, eq. (3): if the velocity along the axis
+        increases by dv at the time t, the end of the flight moves by k(t) dv.
     demanded : ndarray, shape (2, 3)
         Values of the first and the second integral that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
@@ -89,9 +87,8 @@ class ThrustMoments:
     def price(self, multipliers: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the multiplier (price) of the thrust vector at each quadrature node.
 
-        In the dual problem (docs/theory/bound.md, eq. (8)), each of the two weighted integrals of
-        the thrust has a Lagrange multiplier. The price at a node is a vector: the sum over both
-        integrals of the multiplier times the weight at this node.
+        The price is the sum over both integrals of multiplier times weight at the node
+        (docs/theory/bound.md, eq. (8)).
 
         Parameters
         ----------
@@ -129,6 +126,8 @@ class ThrustMoments:
     def least_peak(self, axes: tuple[int, ...] = (0, 1, 2)) -> float:
         """Return a lower bound on the peak thrust of every flight of the mission.
 
+        Implements docs/theory/bound.md, eq. (11).
+
         Parameters
         ----------
         axes : tuple of int, default (0, 1, 2)
@@ -138,22 +137,6 @@ class ThrustMoments:
         -------
         float
             Lower bound on the largest length of the thrust vector along these axes, N.
-
-        Notes
-        -----
-        Let x be any multipliers of the two integrals, and price(x) the price vector as a function
-        of time (method `price`). For every flight of the mission, x . demanded equals the integral
-        of price(x) . thrust. If the thrust never exceeds u, this integral is at most u times the
-        integral of |price(x)|. Hence
-
-        u >= (x . demanded) / (integral of |price(x)|).
-
-        The result is the largest value of the right-hand side over all x. It is found by minimising
-        the integral of |price(x)| with x . demanded = 1. A thrust that attains the bound has the
-        constant length u and the direction of price(x).
-
-        Where price(x) is zero, |price(x)| is not smooth in time. The relative error of the
-        quadrature is then about 1e-4.
         """
         counted = np.zeros((2, 3), dtype=bool)
         counted[:, axes] = True
@@ -169,6 +152,9 @@ class ThrustMoments:
             norm, direction = self.price(multipliers)
             return float(self.widths @ norm), free.T @ self.supplied(direction)[counted]
 
+        # The largest quotient of docs/theory/bound.md, eq. (11), belongs to the least integral of
+        # |price| with x . demanded = 1. A thrust that attains the bound has a constant length and
+        # the direction of the price.
         found = minimize(size, np.zeros(free.shape[1]), jac=True, method="BFGS")
         return float(1.0 / found.fun)
 
@@ -221,9 +207,8 @@ def _standing_moments(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
 
-    The thrust S at rest balances the weight and the force of the wind. S changes with time if the
-    wind does. The results are the terms with S on the right-hand sides of docs/theory/bound.md,
-    eqs. (2) and (4).
+    The integrals are the terms with S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
+    (4).
 
     Parameters
     ----------
@@ -312,10 +297,9 @@ class Certificate:
         return least * (1 - SAME_TIME) <= duration_s <= greatest * (1 + SAME_TIME)
 
     def gap_percent(self, energy_J: float) -> float | None:
-        """Return the optimality gap of a flight, in per cent of the flight's energy.
+        """Return the optimality gap of a flight: the part of its energy above the lower bound.
 
-        The gap is the difference between the energy of the flight and the lower bound. Any other
-        flight of the mission can save at most this difference.
+        Any other flight of the mission can save at most this part.
 
         Parameters
         ----------
@@ -362,15 +346,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
     """Return the largest known lower bound on the energy of a mission [J], and its basis in words.
 
-    Three functions of this module compute lower bounds:
-
-    - `_bound_as_a_whole` ignores the waypoints and considers the flight from start to goal.
-    - `_bound_by_legs` considers each flight from one waypoint to the next.
-    - `_bound_by_pairs` is for power or drag that depends on the airspeed.
-
-    Each function is valid for some missions only. If no function gives a bound, the first result is
-    None and the text is the reason. `scenario` is the mission, and `planner` holds the compiled
-    equations of the vehicle.
+    If no bound is known, the first result is None and the text is the reason.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -395,9 +371,8 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
     """Return the reason why `_bound_by_legs` gives no bound for a mission, as part of a sentence.
 
-    An example is "in a wind that changes with time". The function `_bound_as_a_whole` appends the
-    reason to a message such as "no bound is known for a free duration". The result is empty if
-    `_bound_by_legs` gives a bound.
+    An example is "in a wind that changes with time". The result is empty if that function gives a
+    bound.
 
     Parameters
     ----------
@@ -469,9 +444,7 @@ def _bound_by_legs(
 ) -> _Found:
     """Return a lower bound on the energy of flights through the waypoints, for all passing times.
 
-    A passing time is the time at a waypoint. The bound holds for all passing times and, if the
-    duration is free, for all allowed durations. It requires power and drag that do not depend on
-    the airspeed.
+    The bound also holds for all allowed durations. Power and drag must not depend on the airspeed.
 
     Parameters
     ----------
@@ -520,10 +493,7 @@ def _bound_by_legs(
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that the rotors give back as they slow down after a payload release [J].
 
-    After the release the vehicle is lighter. Its rotors turn more slowly in hover at the goal than
-    in hover at the start, and have lost kinetic energy. The lower bound on the energy is reduced by
-    the result (docs/theory/bound.md, eq. (7)). The result is zero if the mission `scenario`
-    releases no payload. `planner` holds the compiled equations of the vehicle.
+    The lower bound on the energy is reduced by this energy: docs/theory/bound.md, eq. (7).
     """
     if not scenario.mission.released:
         return 0.0
@@ -538,12 +508,7 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
     """Return a lower bound on the energy of flights if power or drag depends on the airspeed.
 
-    The module `study.pairs` computes this bound from the least power over all combinations (pairs)
-    of thrust and airspeed. For some missions with a wind field, the function `_bound_of_places`
-    computes a second bound from the winds at each place. The larger of the two bounds is returned.
-
-    `scenario` is the mission, `planner` holds the compiled equations, and `demand` is the thrust
-    that the momentum balance requires for a motion.
+    For some missions in a wind field, the bound of `_bound_of_places` is larger, and is returned.
 
     Returns
     -------
@@ -639,11 +604,8 @@ def _bound_of_places(
 ) -> float:
     """Return a lower bound on the energy of any flight through a wind field [J].
 
-    In each horizontal cell of the field's grid, only the winds of this cell are considered
-    (docs/theory/bound.md, eq. (25)). The bound is therefore tighter than that of the module
-    `study.pairs`, in which every wind of the field may blow everywhere. The result is minus
-    infinity if no bound was found. Call this function only if `_has_places` is true for the
-    mission.
+    The bound is minus infinity if none was found. `_has_places` must be true for the mission. See
+    docs/theory/bound.md, eq. (25).
 
     Parameters
     ----------
@@ -668,13 +630,8 @@ def _has_places(
 ) -> bool:
     """Return whether the function `_bound_of_places` may be called for a mission.
 
-    That function computes a lower bound on the energy from the winds at each place of a wind field.
-    The result is True if all of these hold:
-
-    - The mission has a single leg, and start and goal are exact points.
-    - Flights stay in the field: the scenario's `wind.beyond` is not "hold".
-    - The winds of the field are horizontal, and at least two of them differ.
-    - The thrust `standing` is vertical.
+    The mission must be a single leg between exact points in the field. Winds must be horizontal and
+    differ; `standing` must be vertical.
 
     Parameters
     ----------
@@ -698,10 +655,10 @@ def _has_places(
 
 
 def _airspace_clause(scenario: Scenario) -> str:
-    """Return the clause on the airspace that ends the sentence about a lower bound.
+    """Return a clause which says that a bound also holds for flights within the airspace.
 
-    The clause says that the bound also holds for the flights that stay within the airspace. It is
-    empty if the scenario has no keep-out zones, floor or ceiling.
+    The clause ends the sentence about the bound. If the scenario has no keep-out zones, floor or
+    ceiling, the clause is empty.
     """
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
@@ -740,9 +697,8 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    The dual function is the right-hand side of docs/theory/bound.md, eq. (8). Each of its values is
-    a lower bound on the energy of every flight of the mission. The search starts from the bound of
-    Jensen's inequality, eq. (9), and never returns less than this bound.
+    The result is never below the bound of Jensen's inequality. See docs/theory/bound.md, eqs. (8)
+    and (9).
 
     Parameters
     ----------
@@ -784,18 +740,16 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 class _SteadyPower:
     """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
 
-    Thrust and power are sampled over the allowed range of the rotor speed. In some power models
-    braking rotors return no energy: these models replace a negative power by zero. The attribute
-    `power` holds the power before this replacement. It is at most the power of the model, and
-    therefore gives a valid lower bound on the energy.
+    Thrust and power are sampled over the allowed range of the rotor speed.
 
     Attributes
     ----------
     thrust, power : ndarray, shape (n,)
-        Total thrust [N], increasing, and total power [W], at samples of the rotor speed.
+        Total thrust [N], increasing, and total power [W], at samples of the rotor speed. The power
+        may be negative.
     is_polynomial : bool
         Whether thrust and power of the Pyomo model are polynomials of the rotor speed. The samples
-        are values of fitted polynomials. If this attribute is true, the fit is exact to rounding.
+        are then exact to rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
@@ -808,6 +762,8 @@ class _SteadyPower:
             np.linspace(slowest, usual, _SAMPLES), np.linspace(usual, fastest, _SAMPLES)
         )
         thrust, self.thrust, has_thrust = _fit(steady.thrust(speeds), speeds, samples)
+        # Models in which braking earns nothing replace a negative power by zero. The power before
+        # this replacement is at most the power of the model, so the bound stays valid.
         power, self.power, has_power = _fit(steady.uncredited_power(speeds), speeds, samples)
         self._slope = power.deriv()(samples[1:]) / thrust.deriv()(samples[1:])
         self.is_polynomial = has_thrust and has_power
@@ -825,6 +781,8 @@ class _SteadyPower:
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the convex conjugate of the power: the maximum of price * thrust - power.
 
+        Implements docs/theory/bound.md, eq. (10).
+
         Parameters
         ----------
         price : ndarray, shape (n,)
@@ -836,20 +794,6 @@ class _SteadyPower:
             Upper bound on the maximum over the allowed thrusts, W.
         thrust : ndarray, shape (n,)
             Thrust of the maximum, to the spacing of the samples, N.
-
-        Notes
-        -----
-        The power as a function of the thrust is a curve of which only samples are known. The
-        function `_below` lowers the samples so that the polygon through them lies below the curve.
-        It uses two straight lines between each sample and the next:
-
-        - the chord between the two samples: a concave curve lies above this line;
-        - the line through the previous two samples, extended: a convex curve lies above this line.
-
-        The polygon lies below both lines, and therefore below the curve in both cases.
-
-        The maximum is computed with the power of the polygon. A lower power gives a larger value of
-        price * thrust - power. The result is therefore an upper bound on the maximum for the curve.
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]
@@ -859,9 +803,6 @@ def _fit(
     computed: FloatArray, speeds: FloatArray, samples: FloatArray
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
-
-    Some lower bounds on the energy apply only if thrust and power are polynomials of the rotor
-    speed. The result `is_exact` tells whether the fitted quantity is a polynomial.
 
     Parameters
     ----------
@@ -890,8 +831,7 @@ def _fit(
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
     """Return samples of the power, lowered so that the polygon through them is below the curve [W].
 
-    The curve is the power as a function of the thrust. A lower bound on the energy that is computed
-    from the lowered samples is valid for the whole curve.
+    The curve is the power as a function of the thrust. See docs/theory/bound.md, eq. (10).
 
     Parameters
     ----------
@@ -907,9 +847,7 @@ def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
 def _corners(thrust: FloatArray, power: FloatArray) -> FloatArray:
     """Return the vertices of the lower convex hull of power over thrust, shape (2, n).
 
-    `thrust` [N] and `power` [W] are samples of the curve of power over thrust, in the order of
-    increasing thrust. The first row of the result holds the thrusts of the vertices [N], the second
-    their powers [W].
+    `thrust` [N] is increasing. The rows of the result hold thrusts [N] and powers [W].
     """
     kept: list[tuple[float, float]] = []
     for x, y in zip(thrust.tolist(), power.tolist(), strict=True):

@@ -79,11 +79,6 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
     """Yield a finding for each battery limit that every flight of the mission must break.
 
-    The lower bound on the energy, divided by the duration, is a lower bound on the mean power of
-    every flight. A limit that is broken at this power is broken by every flight. The limits are
-    those on state of charge, current, voltage, and the ratio of the power to the battery's greatest
-    power.
-
     Parameters
     ----------
     scenario : Scenario
@@ -94,6 +89,7 @@ def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> It
         Lower bound on the energy of every flight of the mission [J].
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
+    # A limit broken at the least mean power (bound / duration) is broken by every flight.
     current, voltage, charge_rate = steady.pack_under(bound / duration)
     taken, initial = charge_rate * duration, scenario.battery.initial_state_of_charge
     left = initial - 100.0 * taken / steady.pack_capacity
@@ -138,9 +134,8 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings if the power model is outside its valid range at or near hover.
 
-    An example is a motor that needs more voltage in hover than the battery has. The finding has the
-    severity "impossible" if the power model uses the motor's electrical constants. For other power
-    models it has the severity "caution". `steady` computes power and rotor speed in hover.
+    If hover needs more voltage than the battery gives, the finding is "impossible" with the power
+    models `motor` and `motor_with_friction`. With other models it is a caution.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -181,17 +176,14 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed [rad/s] where chattering takes less power than a steady speed.
+    """Return the highest rotor speed at which chattering takes less power than a steady speed.
 
-    Chattering is alternating acceleration and braking, up to the rotor acceleration ``limit``
-    [rad/s^2]. If it takes less power than a steady speed, a plan of least energy chatters. The plan
-    then depends on ``limit`` and on the mesh.
-
-    Rotor speeds between 0.6 and 1.1 times the speed of hover are examined. The result is None if a
-    steady speed takes less power at all of them. `steady` computes the power at a given rotor speed
-    and acceleration.
+    Chattering is alternating acceleration and braking of a rotor, each at most ``limit``
+    [rad/s^2]. The result [rad/s] is None if chattering saves power at none of the speeds tried.
     """
     hover = steady.hover_speed
+    # Where chattering takes less power, a plan of least energy chatters. The plan then depends on
+    # the limit and on the mesh.
     for speed in np.linspace(_FASTEST * hover, _SLOWEST * hover, _SPEEDS):
         # Mean power of alternating acceleration and braking: the chord at zero acceleration.
         up = np.linspace(0.0, limit, _ACCELERATIONS)[1:]
@@ -268,11 +260,8 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
     """Return the strictest limit on the thrust, and the largest thrust that this limit permits [N].
 
-    The strictest limit is returned as text, "field = value". Three limits are compared: those on
-    rotor speed, thrust and rotor acceleration. The rotors start and end at hover speed. With
-    limited acceleration, their speed is at most hover speed + limit * duration / 2, half way
-    through the flight. The thrust at this speed is the largest thrust that the limit on the
-    acceleration permits.
+    The limit is text, "field = value": the strictest of those on rotor speed, thrust and rotor
+    acceleration.
 
     Parameters
     ----------
@@ -282,7 +271,8 @@ def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, fl
         Computes the thrust at a given rotor speed.
     """
     limits = scenario.limits
-    # Rotors start and end at hover speed, so they can be fastest half way through the flight.
+    # Rotors start and end at hover speed, so they can be fastest half way through the flight, by
+    # at most limit * duration / 2 above hover speed.
     gain = limits.rotor_acceleration_max * scenario.mission.fixed_duration / 2
     speed, acceleration = limits.rotor_speed_max, limits.rotor_acceleration_max
     candidates = (
@@ -345,13 +335,8 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    If the mission's duration is too short, a message recommends a duration longer than the result.
-    The result is found by doubling and bisection, starting from the mission's duration. It is
-    infinite in two cases:
-
-    - The available thrust is too small for all durations that were tried.
-    - The wind is a series of measurements over time: the wind after the end of the mission is then
-      unknown.
+    The result is infinite if no duration tried is long enough, or if the wind is a series of
+    measurements.
 
     Parameters
     ----------
@@ -362,6 +347,7 @@ def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float
     available : float
         Thrust that the limits allow [N].
     """
+    # After the end of the mission, a measured wind is unknown.
     if scenario.wind.series is not None:
         return inf
 
@@ -522,8 +508,8 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
     """Yield a caution if plans of a scenario may tilt further than its controller can follow.
 
-    The scenario's field `baseline.gains.tilt_max` limits the tilt of the controller. The tilt of a
-    plan is limited by the limits on roll, pitch and thrust in the scenario's table `limits`.
+    `baseline.gains.tilt_max` limits the controller; the limits on roll, pitch and thrust limit
+    plans.
     """
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
@@ -592,10 +578,8 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
     """Yield a caution if a plan with simplified attitude equations in fact misses the goal.
 
-    The simplified equations are those of Yacef et al. (`vehicle.attitude` "paper"). They set the
-    Euler rates equal to the body rates. The function simulates the plan's controls with the exact
-    relation between Euler rates and body rates. It yields the caution if this flight misses the
-    goal. `planner` holds the compiled equations; None for a new planner.
+    The equations of Yacef et al. (`vehicle.attitude` "paper") equate Euler rates and body rates.
+    This function simulates the plan's controls with the exact relation between them.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
@@ -625,9 +609,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
-    f_r is the efficiency of motor and rotor in `power.model` "efficiency". In the valid range, the
-    motor's torque and f_r exceed the lower limits that the scenario sets. The function checks each
-    rotor at each mesh point of `plan`. The caution states the percentage outside the range.
+    f_r is the efficiency of motor and rotor. In its valid range, torque and f_r exceed the
+    scenario's lower limits.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

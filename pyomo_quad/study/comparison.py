@@ -49,8 +49,8 @@ _ESTIMATES = tuple(f"disturbance_{axis}_m_per_s2" for axis in "xyz")
 def adaptation_study(scenario: Scenario, *, dynamics: Dynamics) -> "pd.DataFrame":
     """Simulate a mission twice under the adaptive controller: with and without its adaptation.
 
-    With adaptation, the controller estimates the disturbance acceleration, and compensates it. Both
-    flights follow the same smooth path (quintic polynomial) from start to goal in the actual wind.
+    Both flights follow the same smooth path (quintic polynomial) from start to goal in the actual
+    wind.
 
     Parameters
     ----------
@@ -105,9 +105,7 @@ _PLACE = tuple(column_of(state).name for state in POSITION_STATES)
 class ComparisonColumn(TableColumn):
     """Columns of the table that compares the flights of a mission, one row for each flight.
 
-    The columns hold, among others, duration and energy of the flight, the lower bound on the
-    energy, the saving of the plan, and the limits that the flight broke. The function
-    `compare_flights` makes the table and explains its values.
+    The function `compare_flights` makes the table and explains its values.
     """
 
     SCENARIO = "scenario"
@@ -141,8 +139,7 @@ its least over the flight; only if the scenario sets `limits.reserve`."""
 def has_arrived(flight: Flight) -> bool:
     """Return whether a flight ends at the goal and nearly at rest.
 
-    At the end of the flight, the distance from the goal may be at most the constant
-    `ARRIVAL_DISTANCE_M`, and the speed at most the constant `ARRIVAL_SPEED_M_PER_S`.
+    The limits of final distance and speed are `ARRIVAL_DISTANCE_M` and `ARRIVAL_SPEED_M_PER_S`.
     """
     speed = np.linalg.norm([flight.terminal_miss.get(name, 0.0) for name in VELOCITY_STATES])
     return bool(flight.terminal_miss_m <= ARRIVAL_DISTANCE_M and speed <= ARRIVAL_SPEED_M_PER_S)
@@ -176,38 +173,34 @@ def compare_flights(
 
     Notes
     -----
-    A simulated flight ends near the goal. Its owed energy is the energy that the vehicle would
-    still need to the exact goal state, as the method `owed_energy` of a `Plan` estimates it. Let E
-    be the energy of a flight plus its owed energy. The table contains:
+    A simulated flight ends near the goal. Its owed energy is the energy from there to the exact
+    goal state, as `Plan.owed_energy` estimates it. Let E be the energy of a flight plus its owed
+    energy. The table contains:
 
     - excess over hovering: E - energy of hovering for the duration of the flight;
     - optimality gap: 100 (E - lower bound) / E, in per cent;
     - saving of the plan: 100 (E of the flight - E of the plan) / E of the flight, in per cent;
     - saving above hover: 100 (E of the flight - E of the plan) / excess of the flight, in per cent.
 
-    Lower bound, optimality gap and both savings are NaN for a flight in these cases:
+    Values of a flight are NaN in these cases:
 
-    - The flight did not arrive (see `has_arrived`) or broke a limit. The bound covers only flights
-      that arrive within the limits.
-    - The owed energy of the flight is unknown.
-
-    With a wind forecast, the plan was made for the forecast wind, but the other flights were
-    simulated in the actual wind. All savings are then NaN, and so are lower bound and gap of the
-    plan.
-
-    A flight may have another duration than the mission. It then has a lower bound only if the
-    certificate covers this duration. Its saving above hover is NaN, because the energy of hovering
-    depends on the duration.
-
-    The saving above hover is also NaN if the plan takes less energy than hovering, because the
-    saving would exceed 100 %.
+    - lower bound, gap and savings: if the flight is not comparable (see `is_comparable`);
+    - lower bound and gap: if the certificate does not cover the duration of the flight;
+    - lower bound and gap of the plan: if the scenario has a wind forecast;
+    - savings: if the flight is the plan itself, if the plan is not comparable, or if the scenario
+      has a wind forecast;
+    - saving above hover: if flight and plan differ in duration, or the plan takes less energy than
+      hovering.
     """
+    # With a forecast, the plan was made for the forecast wind, but bound and other flights are of
+    # the actual wind.
     is_told_the_wind = scenario.wind.forecast is None
     optimum = next((f for f in flights if f.name == OPTIMAL and is_comparable(f)), None)
     rows = []
     for flight in flights:
         is_optimum, arrived = flight.name == OPTIMAL, has_arrived(flight)
         settled, is_valid = settled_energy(flight), is_comparable(flight)
+        # The bound covers only flights that arrive within the limits.
         is_bounded = is_valid and (is_told_the_wind or not is_optimum)
         is_bounded = is_bounded and certificate.is_of(flight.duration_s)
         is_rival = is_valid and is_told_the_wind and not is_optimum
@@ -217,6 +210,8 @@ def compare_flights(
         if optimum is not None and is_rival:
             saved = settled - settled_energy(optimum)
             is_timed_alike = isclose(flight.duration_s, optimum.duration_s, rel_tol=SAME_TIME)
+            # The energy of hovering depends on the duration. A plan below hovering would save over
+            # 100 %.
             if is_timed_alike and settled_energy(optimum) >= hover:
                 saved_of_excess = saved
         rows.append(
@@ -251,18 +246,16 @@ def compare_flights(
 def against_hovering(excess_J: float, digits: int = 2) -> str:
     """Return in words how much more or less energy than hovering a flight takes.
 
-    An example is "3.20 J less than hovering". `excess_J` is the energy of the flight minus the
-    energy of hovering for the duration of the flight [J], and `digits` the number of decimals.
+    An example is "3.20 J less than hovering". `excess_J` is the difference [J], and `digits` the
+    number of decimals.
     """
     return f"{abs(excess_J):.{digits}f} J {'less' if excess_J < 0.0 else 'more'} than hovering"
 
 
 def has_own_time(scenario: Scenario, duration_s: float) -> bool:
-    """Return whether the duration of a flight differs from the duration of the mission.
+    """Return whether the duration of a flight [s] differs from the duration of the mission.
 
-    `duration_s` is the duration of the flight [s], and `scenario` is the mission. If the durations
-    differ, the energy of hovering is scaled to the duration of the flight before it is compared
-    with the energy of the flight.
+    If so, the energy of hovering is scaled to the duration of the flight for comparisons.
     """
     return not isclose(duration_s, scenario.mission.fixed_duration, rel_tol=SAME_TIME)
 
@@ -276,8 +269,8 @@ def _hover_energy(scenario: Scenario, flight: Flight, hover_energy_J: float) -> 
 class LegColumn(TableColumn):
     """Columns of the table of a flight's legs, the parts from one waypoint to the next.
 
-    Each row of the table is a leg, or a hover at a waypoint. The columns are, from left to right:
-    name, time of the start, time of the end, length and energy.
+    Each row is a leg, or a hover at a waypoint, with the times of its start and end, its length and
+    its energy.
     """
 
     LEG = "leg"
@@ -288,11 +281,9 @@ class LegColumn(TableColumn):
 
 
 def leg_table(mission: Scenario, frame: "pd.DataFrame") -> "pd.DataFrame":
-    """Return times, length and energy of each leg of a flight as a table.
+    """Return times, length and energy of each leg of a flight, and of each hover, as a table.
 
-    A leg is the flight from one waypoint to the next. Each hover at a waypoint has a row, too.
-    `mission` is the scenario with the passing times of the flight. `frame` is the flight's table,
-    one row for each time, with columns for time, position and energy.
+    `mission` has the passing times of the flight. `frame` is the flight's table over time.
     """
     return LegColumn.of_rows(leg_rows(mission, frame))
 
@@ -357,8 +348,7 @@ def _legs(mission: Scenario, duration_s: float) -> Iterator[tuple[str, float, fl
 def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
     """Return the length of the path from the start to each row of a flight's table [m].
 
-    `flown` is the table of the flight, one row for each time. If a user's Pyomo model lacks one of
-    the coordinates x, y and z, the length is computed without it.
+    Coordinates x, y and z that a user's Pyomo model lacks are left out of the length.
     """
     held = [np.asarray(flown[name], dtype=float) for name in _PLACE if name in flown]
     places = np.reshape(held, (-1, len(flown[TIME]))).T
@@ -369,14 +359,8 @@ def way_flown(flown: "Mapping[str, FloatArray] | pd.DataFrame") -> FloatArray:
 class ReplanningColumn(TableColumn):
     """Columns of the table of flights whose plan is solved again during the flight.
 
-    Each row of the table is a flight. The columns are, from left to right:
-
-    - name of the flight, and its energy;
-    - distance from the goal at the end, and whether the flight arrived;
-    - number of solves, and number of failed solves;
-    - number of solves that took longer than the time allowed;
-    - number of solves that took longer than the interval to the next solve;
-    - median, 95 % quantile and maximum of the solve time.
+    `LATE` counts the solves that took longer than the time allowed, `BEYOND_INTERVAL` those that
+    took longer than the interval to the next solve.
     """
 
     FLIGHT = "flight"
@@ -395,14 +379,8 @@ class ReplanningColumn(TableColumn):
 def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.DataFrame":
     """Return results and solve times of all flights whose plan is solved again during the flight.
 
-    The table counts two kinds of slow solves of each flight, by their measured times on this
-    machine:
-
-    - late solves, which took longer than ``settings.solve_time``, the time allowed for a solve;
-    - solves that took longer than the interval to the next solve.
-
-    In the simulated flight, a new plan takes effect after a delay. The delay is the measured time
-    of the solve or ``settings.solve_time``, as ``settings.clock`` selects.
+    The solve times in the table are measured. If ``settings.clock`` is "stated", the simulated
+    flight instead assumes that each solve takes ``settings.solve_time``.
 
     Parameters
     ----------
@@ -443,8 +421,8 @@ def replanning_table(flights: Sequence[Flight], settings: Replanning) -> "pd.Dat
 def is_comparable(flight: Flight) -> bool:
     """Return whether the energy of a flight can be compared with those of other flights.
 
-    The flight must arrive and keep all limits. The energy that the vehicle still needs from the
-    flight's end state to the exact goal state (the owed energy) must be known.
+    The flight must arrive and keep all limits. The energy to the exact goal state (owed energy)
+    must be known.
     """
     is_priced = isfinite(flight.owed_energy_J)
     return has_arrived(flight) and not flight.broken_limits and is_priced
@@ -453,10 +431,8 @@ def is_comparable(flight: Flight) -> bool:
 def settled_energy(flight: Flight) -> float:
     """Return the energy of a flight to the exact goal state [J].
 
-    A simulated flight ends near the goal. The energy that the vehicle still needs from there (the
-    owed energy) is added. A flight has arrived if it ends at the goal and nearly at rest (see
-    `has_arrived`). If the flight did not arrive, or if its owed energy is unknown, the result is
-    the energy of the flight alone.
+    The owed energy, from the end of the flight to this state, is included if it is known and the
+    flight has arrived.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
@@ -465,8 +441,7 @@ def settled_energy(flight: Flight) -> float:
 def combine(frames: "Sequence[pd.DataFrame]") -> "pd.DataFrame":
     """Return the comparison tables of many scenarios as one table, one below the other.
 
-    `frames` are the tables, each with the columns of `ComparisonColumn`. The rows are numbered
-    anew. If there are no tables, the result has no rows.
+    Each table has the columns of `ComparisonColumn`. The rows are numbered anew.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -487,9 +462,7 @@ def _percent(part: float, whole: float) -> float:
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
     """Return the values of a comparison row that are computed from a flight's table over time.
 
-    The values are the largest power, tilt and rotor acceleration of the flight, the time near the
-    goal, and the battery charge used. Their keys are columns of the comparison table. `scenario` is
-    the mission with its goal. `frame` is the flight's table, one row for each time.
+    `frame` is the flight's table, one row for each time. The goal is that of `scenario`.
     """
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
@@ -512,13 +485,10 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
-    """Return the time that a flight spends near the goal [s].
+    """Return the time that a flight spends within `INSIDE_DISTANCE_M` of the goal [s].
 
-    The vehicle is near the goal if its distance from the goal is at most the constant
-    `INSIDE_DISTANCE_M`. `frame` is the flight's table, one row for each time, and `scenario` has
-    the goal. An interval between two rows counts fully if the vehicle is near the goal at both
-    rows, and half if at one of them. The result is NaN if the table lacks a coordinate of the
-    position.
+    A time interval of `frame` counts fully if both its ends are near the goal, and half if one end
+    is. The result is NaN if `frame` lacks a coordinate.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)
@@ -529,12 +499,10 @@ def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
 
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
-    """Return the values of one variable of the rotors over time, from the table of a flight.
+    """Return the values of a rotor variable, such as "rotors.omega", from the table of a flight.
 
-    `frame` is the flight's table, one row for each time. `component` is the variable's name in the
-    model, such as "rotors.omega" for the rotor speeds. The result has a row for each time and a
-    column for each rotor, and at least four columns. The columns of rotors that a user's model
-    lacks are filled with NaN.
+    The result has one row for each time, and one column for each rotor, but at least four columns.
+    The values of rotors that a user's model lacks are NaN.
     """
     shown = [one for one in ALL_COLUMNS if one.component == component]
     return np.column_stack(
@@ -545,8 +513,7 @@ def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
 def _values(frame: "pd.DataFrame", variable: str) -> FloatArray:
     """Return the values of a model variable in a flight's table, one for each row.
 
-    `frame` is the flight's table, one row for each time, and `variable` is the name of the variable
-    in the model. All values are NaN if the table has no column for the variable.
+    All values are NaN if the table `frame` has no column for the variable.
     """
     name = column_of(variable).name
     if name not in frame:

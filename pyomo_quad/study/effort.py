@@ -1,14 +1,12 @@
 """Estimate of the processor time that planning a mission takes, and of each feature's part in it.
 
 Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
-number of unknowns: the number of variables per collocation point times the number of collocation
-points of the mesh. Planning may repeat the solve for several meshes, routes round keep-out zones
-and orders of the waypoints. The numbers of these repetitions are known or estimated before the
-solve.
+number of unknowns: variables per collocation point times points of the mesh. The solve may be
+repeated for several meshes, routes round keep-out zones and orders of the waypoints, whose numbers
+are known or estimated beforehand.
 
-The constants of the estimate, such as the time per unknown and iteration, were measured. The
-command `python -m tests.benchmarks resolve missions` prints tables that compare estimated with
-measured times.
+The constants, such as the time per unknown and iteration, were measured. The command `python -m
+tests.benchmarks resolve missions` compares estimated with measured times.
 """
 
 from __future__ import annotations
@@ -177,8 +175,7 @@ def estimate_effort(scenario: Scenario, unknowns: int) -> Effort:
 def counts_of(scenario: Scenario, unknowns: int) -> Counts:
     """Count the features of a scenario that determine its planning time.
 
-    `scenario` holds the mission and the solver's settings. `unknowns` is the number of variables
-    per collocation point: states and other functions of time in the model.
+    `unknowns` is the number of variables per collocation point.
     """
     mission, solver = scenario.mission, scenario.solver
     try:
@@ -205,9 +202,8 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
 def _cells(scenario: Scenario) -> int:
     """Estimate how many grid cells of the wind field or of the terrain a mission's legs cross.
 
-    A leg is the straight line from one waypoint to the next. The estimate is the horizontal length
-    of all legs divided by the least horizontal step of the grids. It is 0 if the scenario has no
-    grid.
+    The estimate is (horizontal length of all legs) / (least horizontal step of the grids). It is 0
+    if the scenario has no grid.
     """
     field, ground = scenario.wind.grid, scenario.airspace.ground
     steps = [] if field is None else [after - at for at, after in pairwise(field.x)]

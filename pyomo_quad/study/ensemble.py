@@ -133,14 +133,11 @@ class Ensemble(Summarised):
 
     @property
     def worst(self) -> dict[str, float]:
-        """Largest violation of each broken limit over all flights.
+        """Largest violation of each broken limit over all flights, by the limit in words.
 
-        The key is the limit in words. For most limits, the value is (violation / max(1, limit)).
-        Three limits have other values:
-
-        - limit on the final distance from the goal: the distance [m];
-        - limit on the final speed: the speed [m/s];
-        - battery: the fraction of power or charge that the battery lacks.
+        For the arrival, the value is the final distance [m] or speed [m/s]. For the battery, it is
+        the missing fraction of power or charge. For any other limit, it is violation / max(1,
+        limit).
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
@@ -156,10 +153,9 @@ class Ensemble(Summarised):
         return np.array([getattr(ending, quantity) for ending in self.flown.endings])
 
     def band(self, quantity: str) -> tuple[float, float, float]:
-        """Return the 5, 50 and 95 % quantiles of one result over the flights.
+        """Return the 5, 50 and 95 % quantiles (`BAND`) of one result over the flights.
 
-        The constant `BAND` holds the levels of these three quantiles. `quantity` is the name of an
-        attribute of `Ending`, the result of one flight, such as the energy of the flight.
+        `quantity` is the name of an attribute of `Ending`, such as the energy of the flight.
         """
         low, middle, high = np.quantile(self.of_flights(quantity), BAND).tolist()
         return low, middle, high
@@ -168,8 +164,7 @@ class Ensemble(Summarised):
     def summary(self) -> dict[str, str]:
         """Summary of the flights, as a mapping from the name of a result to its value as text.
 
-        The results are the name of the scenario, the number of flights, the share of successes, the
-        energy, and the limit broken most often.
+        The results include the share of successes, the energy, and the limit broken most often.
         """
         low, middle, high = self.band("energy_J")
         most = next(iter(self.broken.items()), None)
@@ -184,8 +179,8 @@ class Ensemble(Summarised):
     def table(self) -> "pd.DataFrame":
         """Return the results of the flights as a table with one row per flight.
 
-        The columns are the number of the flight, its results (attributes of `Ending`, such as the
-        energy), whether it succeeded, and the limits that it broke.
+        The columns are the attributes of `Ending`, whether the flight succeeded, and the limits
+        that it broke.
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -201,11 +196,10 @@ class Ensemble(Summarised):
         )
 
     def bands(self) -> "pd.DataFrame":
-        """Return a table of quantiles over the flights, for quantities that change with time.
+        """Return a table of quantiles over the flights, with one row for each time.
 
-        The quantities are position, speed, tilt, energy, and distance from the reference path. The
-        table has a row for each time. Each quantity has three columns: its 5, 50 and 95 % quantiles
-        over all flights at that time. The constant `BAND` holds the levels of the quantiles.
+        Each quantity of `TRACKS`, such as speed or energy, has three columns: its 5, 50 and 95 %
+        quantiles (`BAND`).
         """
         import pandas as pd  # noqa: PLC0415  as above
 
@@ -257,16 +251,11 @@ def fly_cruise_often(
     least_s: float = 0.0,
     arriving: float = 0.5,
 ) -> Ensemble:
-    """Simulate an autopilot, straight between waypoints, many times in random winds.
+    """Simulate many flights of an autopilot, straight between waypoints, in random winds.
 
-    With the same seed, the winds are the same as in `fly_plan_often`. At the end of each flight the
-    autopilot waits at the goal, so that the vehicle can settle. The waiting time is equal in all
-    flights. It is the shortest time with which at least the share `arriving` of the flights
-    arrives, with a tolerance of `_WAIT_S`. If all times in `SETTLINGS_S` are too short, the one
-    with which most flights arrive is used.
-
-    A flight that breaks a limit on the way can count as arrived: a longer wait would cost energy
-    without avoiding the violation.
+    With the same seed, the winds are those of `fly_plan_often`. At the goal, all flights wait for
+    the same time. It is the shortest with which at least the share `arriving` of the flights
+    arrives, or the one with most arrivals if none is long enough.
 
     Parameters
     ----------
@@ -299,9 +288,12 @@ def fly_cruise_often(
         return _flown(named, told, path, planner=planner, flights=flights, seed=seed)
 
     def is_enough(settling_s: float) -> bool:
+        # A flight that broke a limit can count as arrived: a longer wait would cost energy
+        # without avoiding the violation.
         return flown_with(settling_s).arrived.count >= arriving * flights
 
     enough = next(filter(is_enough, SETTLINGS_S), None)
+    # No wait is long enough: the wait with most arrivals counts.
     if enough is None:
         return max(map(flown_with, SETTLINGS_S), key=lambda flown: flown.arrived.count)
     too_short = max((wait for wait in SETTLINGS_S if wait < enough), default=enough)
@@ -490,9 +482,7 @@ def fly_in_turbulence(
 def ensemble_summary(flown: Ensemble, savings: Sequence[Saving] = ()) -> dict[str, Any]:
     """Return the results of many flights in random winds as values for JSON.
 
-    `flown` are the simulated flights. `savings` are the energy savings of these flights over other
-    flights in the same winds. The return value maps names to values: among others, the share
-    of successes, energies, broken limits, savings, the wall-clock time, and the scenario.
+    `savings` are the energy savings of the flights over other flights in the same winds.
     """
     worst = flown.worst
     return {

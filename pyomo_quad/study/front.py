@@ -3,8 +3,7 @@
 Each point of the front is a flight that minimises energy + price * duration. The price of time [W]
 is a weight. The mission sets one price, and this study also uses other prices. A flight that is
 shorter than a flight of the front takes more energy. Where the least energy is convex in the
-duration, each price selects one flight, and the slope of the front at this flight is minus the
-price.
+duration, each price selects one flight, and the slope of the front there is minus the price.
 """
 
 from math import isclose, isfinite, nan
@@ -30,9 +29,8 @@ _SAME_TIME = 1e-4
 class FrontColumn(TableColumn):
     """Columns of the table of an energy-time front (least energy against duration).
 
-    Each row of the table is an optimal flight for one price of time, the weight of the duration in
-    the objective. The columns are, from left to right: price of time, duration, energy, and whether
-    the flight is the plan of the run.
+    Each row is an optimal flight for one price of time, the weight of the duration in the
+    objective. `IS_PLAN` says whether the flight is the plan of the run.
     """
 
     PRICE = "price_of_time_W"
@@ -46,10 +44,8 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a free-duration mission for several prices of time.
 
-    The price of time [W] is the weight of the duration in the objective energy + price * duration.
-    Each solve starts from the plan, and therefore passes keep-out zones on the same sides as the
-    plan. Each solve uses the mesh of the plan, which is accurate enough for energies. The limits
-    hold at the mesh points. Between the mesh points they are not checked.
+    The objective is energy + price of time [W] * duration. The mission is solved for each price on
+    the mesh of the plan, without refinement. Between mesh points the new flights may break limits.
 
     Parameters
     ----------
@@ -79,6 +75,8 @@ def energy_time_front(
     for price in prices:
         if isclose(price, own, rel_tol=0.1, abs_tol=0.1 * hover_power):
             continue
+        # Each solve starts from the plan, so the flight passes keep-out zones on the same sides.
+        # The mesh of the plan is accurate enough for energies.
         found = planned_alike(plan, planner, progress, price_of_time=price, aim=aim)
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
         if found.verification is not None and is_new:
@@ -91,8 +89,8 @@ def planned_alike(
 ) -> Plan:
     """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
 
-    A plan with a limited risk has margins: its limits are tightened, so that flights in turbulence
-    rarely break them. The changed mission has the same margins, so that both plans can be compared.
+    If the plan's limits were tightened for an allowed risk, the limits of the changed mission are
+    tightened by the same margins. The two plans are then comparable.
 
     Parameters
     ----------

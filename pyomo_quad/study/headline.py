@@ -2,12 +2,7 @@
 
 The sentences state energy and duration of the plan, its energy saving, and the success of its
 simulated flights in turbulence. The energy saving is the difference in energy between the plan and
-one other flight of the run, the rival. Only flights that arrived within the limits can be the
-rival. In the order of preference, the rival is
-
-- the flight of the autopilot tuned for least energy (module `study.autopilot`),
-- the simulated flight under the controller along a smooth path (quintic polynomial),
-- the flight of least energy.
+one other flight of the run, the rival. The function `rival_of` chooses it.
 """
 
 from collections.abc import Iterable, Mapping
@@ -67,19 +62,15 @@ class Headline:
     def words(self) -> str:
         """The main results of a run as sentences.
 
-        They state the plan's energy and duration, its energy saving over another flight, the share
-        of its simulated flights in turbulence that succeed, and the energy that its safety margins
-        cost.
-
-        The plan is normally compared with a single other flight. If the run has many flights of the
-        plan and of an autopilot in turbulence, these two sets of flights are compared instead. In
-        turbulence, a single flight is no fair comparison for the plan, which was made for the mean
-        wind.
+        They state the plan's energy and duration, its saving over another flight, its success in
+        turbulence, and the energy that its safety margins cost.
         """
         charge = ""
         if self.battery_percent is not None:
             charge = f" ({self.battery_percent:.2f} % of the battery)"
         plan = f"The plan takes {self.energy_J:.2f} J{charge} and {self.duration_s:.4g} s"
+        # In turbulence many flights are compared: one flight is no fair comparison for a plan that
+        # was made for the mean wind.
         if self.often is None or self.often.saving is None:
             plan = f"{plan}: {self._saving}"
         return " ".join(filter(None, (f"{plan}.", self._share, self._price)))
@@ -88,9 +79,8 @@ class Headline:
     def summary(self) -> dict[str, Any]:
         """The main results of a run as values for JSON.
 
-        They are: the sentences on the main results; name, energy and duration of the flight with
-        which the plan is compared; the energy saving over this flight; and the settings of the
-        tuned autopilot.
+        The values are the sentences of `words`, the rival and the saving over it, and the settings
+        of a tuned autopilot.
         """
         against = (
             {
@@ -150,10 +140,8 @@ class Headline:
 def headline_of(result: "RunResult") -> Headline | None:
     """Return the headline of a run: its main results and their wording.
 
-    `result` holds the results of the run. The result is None in two cases:
-
-    - The plan must not be flown: its status is neither `VERIFIED` nor `USABLE`.
-    - The plan was made for a forecast of the wind.
+    The result is None if the plan must not be flown (neither `VERIFIED` nor `USABLE`), or was made
+    for a wind forecast.
     """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
@@ -175,19 +163,18 @@ def headline_of(result: "RunResult") -> Headline | None:
 
 
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
-    """Choose the flight with which the plan is compared, and return its row.
+    """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
-    `comparison` is the comparison table of the run, which has one row for each flight. A flight
-    qualifies if the table holds the energy saving of the plan over this flight, because it then
-    arrived within the limits. The flight of the plan itself is excluded, and so is the simulation
-    of the plan's rotor commands without feedback. In the order of preference, the result is
+    `comparison` must have a saving of the plan over the flight; the flight then arrived and kept
+    all limits. The flight "open_loop/plan" does not qualify. In the order of preference, the result
+    is
 
     - the flight of the autopilot tuned for least energy,
     - the flight under the controller along a smooth path (quintic polynomial),
-    - the flight of least energy among those that qualify.
-
-    The result is None if no flight qualifies.
+    - the flight of least energy,
+    - None if no flight qualifies.
     """
+    # The flight of the plan, and the simulation of its rotor commands without feedback.
     is_own = comparison[ComparisonColumn.FLIGHT].isin((OPTIMAL, OPEN_LOOP))
     rivals = comparison[comparison[ComparisonColumn.SAVING].notna() & ~is_own]
     by_name = {row[ComparisonColumn.FLIGHT]: row for row in rivals.to_dict("records")}
@@ -198,8 +185,7 @@ def rival_of(comparison: "pd.DataFrame") -> Row | None:
 def settled_of(row: Row) -> float:
     """Return the energy of a flight to the exact goal state, from its comparison row [J].
 
-    The energy includes an estimate of the energy that the vehicle still needs from the flight's end
-    state to the goal state.
+    An estimate of the energy from the flight's end state to the goal state is included.
     """
     return float(row[ComparisonColumn.HOVER_ENERGY] + row[ComparisonColumn.EXCESS_ENERGY])
 
@@ -222,8 +208,7 @@ _CRUISE_WORDS = "an autopilot on straight legs at this speed"
 def legend_of(rows: Iterable[Row]) -> list[tuple[list[str], str]]:
     """Return the legend of a comparison table, which describes each kind of flight in words.
 
-    `rows` are the rows of the table. The result has an item for each kind of flight: the names of
-    the flights of this kind, and the description of the kind.
+    Each item has the names of the flights of one kind, and the description.
     """
     found: dict[str, list[str]] = {}
     for row in rows:

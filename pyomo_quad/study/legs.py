@@ -1,10 +1,9 @@
 """Lower bound on the energy of a flight through waypoints, by Lagrange duality.
 
 A leg is the flight from one waypoint to the next. A passage is the instant at a waypoint. A price
-is the Lagrange multiplier (dual variable) of a condition that every flight of the mission meets.
-The price of momentum belongs to the momentum balance, and the price of time to the limit on the
-duration. The price of velocity is the price of momentum times the mass. Derivation: see
-docs/theory/bound.md, eqs. (12) and (13).
+is the Lagrange multiplier of a condition that every flight of the mission meets. The price of
+momentum belongs to the momentum balance, the price of time to the limit on the duration.
+Derivation: see docs/theory/bound.md, eqs. (12) and (13).
 
 symbol | meaning
 d_k, T_k, m_k | displacement of leg k, its duration, and the mass on it
@@ -14,27 +13,23 @@ p | price of thrust and momentum, W/N = J per N s
 y | price of velocity, J per m/s: m_k times p, linear in time on each leg
 P* | conjugate of the power: maximum over the thrust of (price of thrust * thrust - power)
 A_k, G_k | terms of the bound, J s and W, defined below
+mu | price of time, W
 
-With the acceleration a, the thrust is u = m_k a + s_k. By the definition of P*, the power is at
-least p . u - P*(|p|) for any price p. With p = y / m_k, the term p . m_k a = y . a is integrated by
-parts. The boundary terms vanish at start and goal, where the vehicle is at rest. They cancel at the
-passages, because neither velocity nor y jumps there. So every flight takes at least the energy
+For given T_k, every flight takes at least the energy
 
-sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k |change of y|,
-G_k = mean over the leg of p . s_k - P*(|p|).
+sum over k of  A_k / T_k + G_k T_k,   A_k = -(change of y) . d_k - r_k length(change of y),
+G_k = mean over the leg of p . s_k - P*(length(p)).
 
-At a passage with a speed limit y may jump. A jump lowers the bound by the speed limit times |jump
-of y|.
+At a passage with a speed limit y may jump. A jump lowers the bound by the speed limit times the
+length of the jump.
 
-The bound above is for given T_k. Now let only the sum of the T_k be given or limited. Choose y such
-that all A_k >= 0, and a price of time mu that is below all G_k. By the inequality of arithmetic and
-geometric means, A_k / T_k + (G_k - mu) T_k >= 2 sqrt(A_k (G_k - mu)). So every flight takes at
-least the energy
+If only the sum of the T_k is given or limited, and all A_k >= 0 and all G_k > mu, every flight
+takes at least the energy
 
 sum over k of  2 sqrt(A_k (G_k - mu)) + mu T_k.
 
-This second bound depends on the T_k only through their sum. It therefore holds for all passing
-times. The two bounds are equal at T_k = sqrt(A_k / (G_k - mu)).
+This bound depends on the T_k only through their sum. The two bounds are equal at T_k = sqrt(A_k /
+(G_k - mu)).
 """
 
 from __future__ import annotations
@@ -99,9 +94,8 @@ class Leg:
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs of a mission, and the limits on the durations of groups of legs.
 
-    A leg is a flight between two places of the mission, or a hover at a waypoint. Waypoints with a
-    given passing time divide the legs into groups. The sum of the durations in a group is fixed or
-    limited. Each hover is a group of its own.
+    A group has all legs between two successive fixed times: the start, given passing times, and the
+    end. A hover at a waypoint counts as a leg that forms its own group.
 
     Returns
     -------
@@ -193,9 +187,7 @@ class Itinerary:
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
         """Return the terms of the lower bound for given prices of velocity, with their gradients.
 
-        The lower bound on the energy is the sum over the legs k of A_k / T_k + G_k T_k, plus the
-        term `jumped`. T_k is the duration of leg k. The docstring of this module gives the formulas
-        for A_k and G_k.
+        The bound is the sum of A_k / T_k + G_k T_k over the legs, plus `jumped`.
 
         Parameters
         ----------
@@ -244,20 +236,14 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        The docstring of this module gives a lower bound for given durations of the legs. It depends
-        on the prices (Lagrange multipliers) of velocity at the ends of the legs. The dual function
-        is the least value of this bound over all allowed durations. Each value of the dual function
-        is a lower bound on the energy. The result is the largest value that a search over the
-        prices finds.
+        The bound is the largest that a search over the prices of velocity finds.
 
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price (multiplier) of thrust for the start of the search, W/N. The first prices of
-            velocity are `price` * mass - factor * position. Here the mass is that at the start, and
-            the position is relative to the start. Several positive factors are tried, and the
-            search begins with the best. With these prices all A_k are positive, and the bound is
-            finite.
+            Price of thrust for the start of the search, W/N. The first prices of velocity are
+            `price` * (mass at the start) - factor * (position relative to the start), with the best
+            of several positive factors.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -280,9 +266,8 @@ class Itinerary:
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
         """Return the negative lower bound on the energy [J] and its gradient, for a minimiser.
 
-        `flat` holds the prices (multipliers) of velocity [J per m/s] at the ends of the legs, the
-        three components of each price one after the other. The gradient is taken with respect to
-        these prices.
+        `flat` holds the prices of velocity [J per m/s] at the ends of the legs, three components
+        for each price.
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
@@ -307,9 +292,8 @@ class Itinerary:
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lengths of vectors, smoothed at zero, and their gradients.
 
-    `vectors` has the shape (n, 3), one vector in each row. The lengths have the shape (n,), the
-    gradients the shape (n, 3). The exact length is not differentiable at zero. The smoothed length
-    is differentiable everywhere and slightly larger.
+    `vectors` and the gradients have the shape (n, 3), the lengths (n,). The smoothed length is
+    slightly larger than the exact one.
     """
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
@@ -320,9 +304,7 @@ def _least_over_times(
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    This sum is the group's part of the lower bound on the energy of a flight. The docstring of this
-    module gives the formulas for A_k and G_k. A group consists of the legs between two times that
-    the mission fixes or limits. The sum of their durations T_k is therefore fixed or limited.
+    Implements docs/theory/bound.md, eq. (13). The module docstring defines A_k and G_k.
 
     Parameters
     ----------

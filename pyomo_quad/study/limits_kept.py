@@ -1,9 +1,9 @@
 """Sentences on the limits that each flight of a run breaks, for the run's report.
 
 The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
-simulates test flights of the plan in turbulence. The sentences also say whether the risk covers a
-flight that breaks limits: it does if the flight breaks only limits that the test flights break most
-often.
+simulates test flights of the plan in turbulence. The risk covers a limit if it is among the three
+that the test flights break most often. It covers a flight if it covers every limit that the flight
+breaks.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,17 +28,9 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
-    Limits are those of the scenario, such as the largest speed. Each sentence names the limits that
-    its flight breaks. If all flights keep all limits, a single sentence says so.
-
-    The sentence also says whether the risk of the plan covers the flight. The risk is the allowed
-    share of the plan's flights in turbulence that break a limit. It covers a flight if both of
-    these hold:
-
-    - The flight is under feedback: a controller tracks the plan, or the plan is solved again during
-      the flight with the actual wind known or estimated.
-    - The flight breaks only limits among the three that the planner's own test flights of the plan
-      break most often.
+    The sentence names the broken limits and says whether the plan's risk covers the flight. The
+    risk applies only to flights under feedback that track the plan, or new plans for the true or
+    the estimated wind.
 
     Parameters
     ----------
@@ -64,10 +56,8 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
     """Return in words whether the plan's risk covers a flight that breaks limits.
 
-    The risk covers a flight that breaks only those limits that the planner's test flights in
-    turbulence break most often. For a flight to which the risk does not apply, the words say so. An
-    example is the flight of a controller without the plan. `risk` is the record of the risk and of
-    the test flights; None for a plan without risk.
+    `risk` is the record of the risk and of the planner's test flights; None for a plan without
+    risk.
     """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"
@@ -76,6 +66,7 @@ def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
     if flight.name not in _OF_THE_PLAN:
         return f"the plan's risk of {risk.asked:g} does not apply to this flight"
     seen = f"{risk.failed} of {risk.flown} flights of the plan broke a limit"
+    # `risk.limiting` has the three limits that the test flights break most often.
     new = [words for words in flight.broken_limits if not words.startswith(tuple(risk.limiting))]
     if not new:
         return f"covered by the plan's risk: {seen}, this limit among the most frequent"

@@ -1,9 +1,8 @@
 """Lower bound on the energy of flights whose power or drag depends on the airspeed.
 
-A pair is a combination of thrust and airspeed. Every flight from rest to rest meets three
-conditions: momentum and kinetic energy of the vehicle are the same at both ends, and the position
-changes by the displacement of the mission. A price is the Lagrange multiplier (dual variable) of
-one of these conditions. Derivation: see docs/theory/bound.md, eqs. (14) to (23).
+A pair is a combination of thrust and airspeed. A price is the Lagrange multiplier of a condition
+that every flight from rest to rest meets. A leg is the flight from one waypoint to the next; the
+mass may differ between legs. Derivation: see docs/theory/bound.md, eqs. (14) to (23).
 
 symbol | meaning
 u, v, W | thrust, airspeed and wind, world axes
@@ -15,48 +14,28 @@ m | mass of the vehicle
 p, w, eta | prices of momentum [W/N], of displacement, and of kinetic energy
 T, a, r | size of the thrust, airspeed along it and across it
 
-In a steady wind, every flight has m dv/dt = u + f - s. Three means over the duration are therefore
-fixed:
+In a steady wind, three means over the duration are fixed:
 
 - the mean of u + f - s is zero, because the momentum is equal at both ends;
 - the mean of v . (u + f - s) is zero, because the kinetic energy is equal at both ends;
 - the mean of v + W is the displacement divided by the duration.
 
-With the prices of these three conditions this gives
+Therefore
 
 energy >= w . displacement + duration * (least H over all pairs u, v),
 H = P - p . (u + f - s) - w . (v + W) - eta v . (u + f - s).
 
-The wind may also differ from place to place. The kinetic energy is then that of the motion relative
-to air of the constant velocity U. It is equal at both ends, because the vehicle is at rest over
-ground there. Its price is eta, and p in H is replaced by p + eta (W - U). The least H is taken over
-all pairs and all winds. For fixed prices, the least H over the pairs is a concave function of W.
-Its least value over a polyhedron of winds is therefore at a corner.
+In a wind field, the kinetic energy is that of the motion relative to air of the velocity U, p in H
+is replaced by p + eta (W - U), and the least H is taken over all winds too. The products m p and m
+eta are equal on all legs.
 
-H is minimised over three numbers only: T, a and r. They determine P, but not the orientation of the
-pair (u, v) in space. H depends on the orientation through the terms p . (u + f) and q . v, with q =
-w - eta s. Over all orientations, the largest sum of the two terms is the sum of the singular values
-of the matrix (u + f) p' + v q', where ' denotes the transpose. With this sum, H is least. The
-computation uses the rotor speed as the first number instead of T; the equations give the thrust
-from the rotor speed. With the power model `momentum` the first number is the induced velocity. The
-model's balance of thrust and induced velocity then gives rotor speed and thrust.
+H is minimised over T, a and r: of all orientations of a pair in space, the best one is known in
+closed form. As a coordinate, T is replaced by the rotor speed. With the power model `momentum`, T
+is replaced by the induced velocity, from which rotor speed and thrust follow.
 
-The least H is bounded from below by branch and bound. A box is a range of the three numbers. The
-compiled equations give bounds on H and on its slopes in a box. A box is excluded if its lower bound
-on H is at least the smallest value of H found so far, less a tolerance. Otherwise it is halved.
-
-The power P is that of rotors with equal thrusts. With the power model `momentum`, rotors with
-unequal thrusts may take less power at high airspeed and low thrust. The profile power of a rotor
-with the thrust t is c t^1.5 + k t^0.5. The coefficient k is zero in still air;
-docs/theory/bound.md, eq. (17), writes m for k. Now let t be the mean thrust of the rotors:
-
-- If c t >= k, equal thrusts take the least power.
-- If c t < k, unequal thrusts may take less power, but no less than the convex envelope of the
-  profile power. The envelope is here the tangent from the origin to the curve of the profile power.
-  It lies (c^0.5 t^0.5 - k^0.5)^2 t^0.5 below the profile power.
-
-The mass may change at a waypoint. A leg is the flight from one waypoint to the next. The products m
-p and m eta are the same on all legs.
+The least H is bounded from below by branch and bound over boxes, which are ranges of the three
+coordinates. A box is excluded if its lower bound on H is at least the least H found so far minus a
+tolerance. Other boxes are halved.
 """
 
 from __future__ import annotations
@@ -119,11 +98,10 @@ POWER_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, kw_only=True)
 class MotionPrices:
-    """Multipliers (prices) of momentum, displacement and kinetic energy on one leg of the flight.
+    """Prices (Lagrange multipliers) of momentum, displacement and kinetic energy on one leg.
 
-    The mission fixes by how much a flight changes momentum, position and kinetic energy of the
-    vehicle. The prices are the Lagrange multipliers of these conditions. Any prices give a lower
-    bound on the energy. A leg is the flight from one waypoint to the next.
+    The mission fixes the total change of these quantities over a flight. Any prices give a lower
+    bound on the energy.
 
     Attributes
     ----------
@@ -143,17 +121,11 @@ class MotionPrices:
 class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
-    A pair has three coordinates: rotor speed (induced velocity for the power model `momentum`), and
-    airspeed along and across the thrust. The compiled equations give its power.
+    The coordinates of a pair are rotor speed, airspeed along the thrust and airspeed across it.
+    With the power model `momentum`, the induced velocity replaces the rotor speed.
 
-    A pair changes momentum, position and kinetic energy of the vehicle at certain rates. The
-    mission fixes the total changes of these quantities over a flight; a price is the Lagrange
-    multiplier of such a total change. H is a function of the pair: its power minus the sum over the
-    three quantities of (rate * price). The class searches for the least H over all pairs and proves
-    a lower bound on it. A lower bound on the energy of every flight follows.
-
-    Some terms of H are equal for all pairs. Several methods leave these terms out; the method
-    `_constant` returns their sum. A box is a range of the three coordinates.
+    The module docstring defines H. Several methods leave out the terms of H that are equal for all
+    pairs, which `_constant` returns.
 
     Parameters
     ----------
@@ -216,7 +188,7 @@ class Pairs:
         """Return rotor speed, thrust, power and two further CasADi expressions of a pair.
 
         The two further expressions tell how much power the pair may save if the rotors have unequal
-        speeds.
+        speeds. See docs/theory/bound.md, eq. (17).
 
         Parameters
         ----------
@@ -258,7 +230,7 @@ class Pairs:
         """Return the force of the air on the moving vehicle, across and along the thrust [N].
 
         `along` and `across` are the airspeed along and across the thrust [m/s]. The force is zero
-        at zero airspeed; it is mainly drag.
+        at zero airspeed.
         """
         keys = [("aerodynamics.force_x", None), ("aerodynamics.force_z", None)]
         moving = self._read(keys, along, across, 0.0, 0.0)
@@ -267,6 +239,9 @@ class Pairs:
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
         """Evaluate the function H and its parts at n pairs of thrust and airspeed.
+
+        Where the margin is negative, H and power are reduced by the excess (see `_of_rotors`). They
+        are then lower bounds for rotors with unequal speeds, too.
 
         Parameters
         ----------
@@ -283,12 +258,6 @@ class Pairs:
             The rows are: H [W] without the terms that are equal for all pairs, thrust [N], rotor
             speed [rad/s], margin, force of the air across and along the thrust [N], power [W], and
             excess [W].
-
-        Notes
-        -----
-        If the margin is negative, rotors with unequal speeds may take less power than rotors with
-        equal speeds, but at most the excess less (see `_of_rotors`). H and power are then reduced
-        by the excess, so that they are lower bounds for rotors with unequal speeds, too.
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
@@ -297,32 +266,13 @@ class Pairs:
     def _fastest(self, scenario: Scenario) -> float:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
-        The search over pairs covers airspeeds up to this limit. The limit is the smaller of two
-        speeds:
-
-        - the speed limit in `scenario` plus the speed of the strongest wind;
-        - the greatest airspeed that the drag permits, from docs/theory/bound.md, eq. (22).
-
-        The result is infinite if the scenario has no speed limit and the drag is too small at every
-        airspeed.
-
-        Notes ----- This is the derivation of the greatest airspeed that the drag permits.
-
-        In a steady wind, let A be the airspeed at which the drag equals the largest thrust plus the
-        length of `standing`. Above A the drag exceeds all other forces, and the airspeed falls. The
-        vehicle starts at rest, where the airspeed is the speed of the wind. The airspeed therefore
-        never exceeds the greater of A and the speed of the wind.
-
-        The wind may also differ from place to place. Let U be the middle of the range of winds, and
-        D the greatest difference between a wind and U. Let S be the speed of the vehicle relative
-        to air of velocity U. The airspeed differs from S by at most D.
-
-        Let V be the value of S at which eq. (22) holds. Above V, the drag prevents S from growing
-        in every wind of the range. At rest, S is the size of U. In flight, S therefore never
-        exceeds the greater of V and the size of U. The airspeed never exceeds this value plus D.
+        Without a speed limit, the result is infinite if the drag is too small at every airspeed.
+        See docs/theory/bound.md, eq. (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
+        # The speed relative to air of the velocity `_middle` starts at the size of `_middle`. It
+        # falls where the drag exceeds all other forces.
         most = self._most_thrust + float(np.linalg.norm(self.standing))
         apart = float(np.linalg.norm(self._winds - self._middle, axis=1).max())
 
@@ -336,9 +286,8 @@ class Pairs:
     def _most_of_first(self) -> float:
         """Return the largest value of a pair's first coordinate that the largest thrust permits.
 
-        The first coordinate is the rotor speed [rad/s], or for the power model `momentum` the
-        induced velocity [m/s]. The search over pairs covers first coordinates from zero to this
-        value.
+        The coordinate is a rotor speed [rad/s], or for the power model `momentum` an induced
+        velocity [m/s].
         """
 
         def excess(first: float) -> float:
@@ -351,8 +300,8 @@ class Pairs:
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
         """Return the four numbers by which the prices enter the minimisation of H over the pairs.
 
-        The terms of H that are equal for all pairs also depend on the prices; `_constant` returns
-        them. See docs/theory/bound.md, eq. (16).
+        `_constant` returns the terms that are equal for all pairs. See docs/theory/bound.md, eq.
+        (16).
 
         Parameters
         ----------
@@ -375,18 +324,10 @@ class Pairs:
         return size, float(prices.momentum @ displacement) / size, aside / size, prices.motion
 
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
-        """Convert the prices on one leg into prices for the motion through the air in one wind.
+        """Convert the prices on a leg into prices for the motion through the air in one wind.
 
-        `prices` are the Lagrange multipliers of the changes of momentum, position and kinetic
-        energy on the leg. `wind` is the wind that blows, shape (3,) [m/s]. Let U be the middle of
-        the range of all winds of the mission. The two sets of prices refer to different kinetic
-        energies:
-
-        - in `prices`, that of the motion relative to air of velocity U;
-        - in the result, that of the motion relative to air of velocity `wind`.
-
-        The new price of momentum is therefore the old one plus (price of kinetic energy) * (wind -
-        U). The other prices are unchanged. Implements docs/theory/bound.md, eq. (20).
+        The kinetic energy in the result is relative to air of the velocity `wind`, shape (3,)
+        [m/s]. Implements docs/theory/bound.md, eq. (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -394,14 +335,10 @@ class Pairs:
         return float(prices.momentum @ self.standing * mass - prices.displacement @ wind)
 
     def cheapest(self, prices: MotionPrices, mass: float) -> tuple[float, list[FloatArray]]:
-        """Search by sampling for the least value of H, and for the pairs at its local minima.
+        """Search by sampling for the least value of H over all pairs and winds.
 
-        For each wind at a corner of the polyhedron of winds, pairs over the whole range are
-        sampled. The lowest local minima are then refined. The least value found may lie above the
-        true minimum; the method `least` returns a proven lower bound.
-
-        A linear program searches for the prices that give the largest lower bound on the energy of
-        a flight. Each returned pair becomes a constraint of this program.
+        The value found may lie above the true minimum; `least` returns a proven lower bound. Each
+        returned pair becomes a constraint of the linear program for the prices (`_Program`).
 
         Parameters
         ----------
@@ -435,9 +372,8 @@ class Pairs:
     def least_through_air(
         self, prices: Sequence[MotionPrices], above: FloatArray, tolerance: float
     ) -> FloatArray:
-        """Return proven lower bounds on G, the least value of H in still air, shape (n,) [W].
+        """Return proven lower bounds on G, the least H over all pairs in still air, shape (n,) [W].
 
-        G is the least H over all pairs. The result has one bound for each item of `prices`.
         Implements docs/theory/bound.md, eq. (23).
 
         Parameters
@@ -464,31 +400,25 @@ class Pairs:
     def samples(self) -> FloatArray:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
-        The rows are: thrust [N]; force of the air along and across the thrust [N]; power [W];
-        airspeed along and across the thrust [m/s]. The pairs lie on a grid over their three
-        coordinates. Pairs whose thrust is much larger or smaller than the thrust of hover are left
-        out, because flights of little energy do not use them.
+        The rows are thrust [N], force of the air along and across the thrust [N], power [W], and
+        airspeed along and across the thrust [m/s].
         """
         sides = self._edges()
         axes = [np.linspace(a, b, count) for (a, b), count in zip(sides, _COARSE, strict=True)]
         axes[0] *= axes[0] / axes[0][-1]
         points = np.stack(np.meshgrid(*axes, indexing="ij")).reshape(3, -1)
         _, thrust, _, _, across, along, power, _ = self._at(points)
+        # Flights of little energy do not use thrusts far from that of hover.
         share = thrust / float(np.linalg.norm(self.standing))
         kept = (share > _USUAL_THRUST[0]) & (share < _USUAL_THRUST[1])
         found = np.stack([thrust, along, across, power, *points[1:]])
         return np.asarray(found[:, kept])
 
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
-        """Find local minima of the function H over the pairs of thrust and airspeed, by sampling.
+        """Find the lowest local minima of the function H over the pairs, by sampling.
 
-        `prices` are the prices for the motion through the air in one wind, from `_in_wind`. `mass`
-        is the mass as a fraction of the mass at the start.
-
-        Only the n lowest local minima are returned; n is at most `_CANDIDATES`. The first result
-        holds the pairs at the minima, shape (3, n): rotor speed [rad/s] (induced velocity [m/s] for
-        the power model `momentum`), airspeed along and across the thrust [m/s]. The second result
-        holds H at these pairs [W], shape (n,), without the terms that are equal for all pairs.
+        The results are at most `_CANDIDATES` pairs, shape (3, n), and their H without the terms of
+        `_constant` [W], shape (n,). `prices` come from `_in_wind`.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -523,9 +453,8 @@ class Pairs:
     ) -> list[FloatArray]:
         """Return power and derivatives of H for a pair of thrust and airspeed, and for its copies.
 
-        The coordinates of the pair leave its orientation in space open. The orientation with the
-        least H is taken. If the thrust that holds the vehicle still (`standing`) is vertical, there
-        are also copies of the pair. They are rotated about the vertical.
+        The pair has the orientation with the least H. Copies, rotated about the vertical, exist
+        only for a vertical `standing`.
 
         Parameters
         ----------
@@ -568,9 +497,6 @@ class Pairs:
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
         """Return a proven lower bound on H over all pairs and winds, by branch and bound [W].
 
-        The least H over the pairs is a concave function of the wind. Its least value over all winds
-        is therefore at a corner of the polyhedron of winds: docs/theory/bound.md, eq. (20).
-
         Parameters
         ----------
         prices : MotionPrices
@@ -582,6 +508,8 @@ class Pairs:
             too many boxes (ranges of pairs), the difference can be larger.
         """
         sampled = self.cheapest(prices, mass)[0]
+        # The least H over the pairs is concave in the wind, so its minimum over all winds is at a
+        # corner of their polyhedron: docs/theory/bound.md, eq. (20).
         proven = sampled
         for wind in self._winds:
             own = self._in_wind(prices, wind)
@@ -594,7 +522,8 @@ class Pairs:
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
         """Return proven lower bounds on the least value of H, for n sets of prices, shape (n,) [W].
 
-        The terms of H that are equal for all pairs are left out.
+        The bounds leave out the terms of `_constant`. They are looser than `tolerance` if the
+        search ends early, after `_MOST_BOXES` boxes.
 
         Parameters
         ----------
@@ -604,13 +533,6 @@ class Pairs:
             For each set, the value of H at some pair [W]. The search starts from this value.
         tolerance : float
             Accuracy of the bounds [W].
-
-        Notes
-        -----
-        The search is a branch and bound over boxes, which are ranges of the three coordinates of a
-        pair. It keeps the smallest value of H found so far. Boxes are halved until no box can
-        contain a value that is smaller by more than `tolerance`. The search also ends after a fixed
-        number of boxes.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -641,10 +563,7 @@ class Pairs:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Return which boxes may contain a permitted pair with H below ``enough``.
 
-        A box is a range of the three coordinates of a pair. A pair is permitted if it keeps the
-        limits on the thrust (largest), the rotor speed (least) and the airspeed (largest). In each
-        box, the method bounds H, thrust, rotor speed and airspeed, and compares the bounds with
-        ``enough`` and the limits. It is much faster than `_box`, which also bounds slopes.
+        A pair is permitted if it keeps the limits on thrust, rotor speed and airspeed.
 
         Parameters
         ----------
@@ -664,6 +583,7 @@ class Pairs:
             For each of the n_kept boxes that may contain such a pair: whether rotors with equal
             thrusts take the least power for all pairs in the box.
         """
+        # Without the slopes that `_box` bounds, the enclosure is much faster.
         given = np.vstack([numbers, np.zeros(low.shape[1])])
         under, over = self._enclosure.values_over(low, high, given)
         nearest = np.minimum(np.abs(low[1]), np.abs(high[1])) * (low[1] * high[1] > 0.0)
@@ -681,8 +601,7 @@ class Pairs:
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
         """Bound the function H from below in n boxes of the branch and bound search.
 
-        Implements docs/theory/bound.md, eq. (18). A box is a range of the three coordinates of a
-        pair.
+        Implements docs/theory/bound.md, eq. (18).
 
         Parameters
         ----------
@@ -735,9 +654,7 @@ def _halved(
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
     """Return the wind at n given times in world axes [m/s], shape (n, 3).
 
-    `dynamics` are the dynamics of the vehicle, with the model of the wind. `times` has the n times
-    [s]. The wind is evaluated with all states and controls zero. Components that the model of the
-    wind lacks are zero.
+    `times` has the n times [s]. Components that the model of the wind lacks are zero.
     """
     names = ("velocity_x", "velocity_y", "velocity_z")
     keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
@@ -753,20 +670,7 @@ def bound_of_pairs(
 ) -> float:
     """Return a lower bound on the energy of a flight in legs, for all allowed passing times [J].
 
-    A leg is the flight from one waypoint to the next; a passing time is the time at a waypoint. The
-    mission fixes by how much a flight changes momentum, position and kinetic energy of the vehicle.
-    Any Lagrange multipliers of these conditions give a lower bound on the energy. The multipliers
-    with the largest bound solve a linear program that has one constraint for each pair of thrust
-    and airspeed.
-
-    The search for the multipliers uses cutting planes (Kelley, 1960). Each round has three steps:
-
-    - Solve the program with the pairs found so far.
-    - Take trial multipliers half way between the best multipliers so far and the solution.
-    - Find the pairs that limit the bound most for the trial multipliers, and add them to the
-      program.
-
-    For the best multipliers found, the bound is then proven over all pairs.
+    The prices come from `prices_of_pairs`. See docs/theory/bound.md, eq. (19).
 
     Parameters
     ----------
@@ -782,6 +686,7 @@ def bound_of_pairs(
     """
     prices, program = prices_of_pairs(pairs, legs, shared, power)
     tolerance = POWER_TOLERANCE * power
+    # The search for the prices uses samples; only their last values are proven over all pairs.
     proven = [pairs.least(p, leg.mass, tolerance) for p, leg in zip(prices, legs, strict=True)]
     return program.bound(prices, np.array(proven))
 
@@ -789,11 +694,11 @@ def bound_of_pairs(
 def prices_of_pairs(
     pairs: Pairs, legs: Sequence[Leg], shared: Sequence[tuple[float, float]], power: float
 ) -> tuple[list[MotionPrices], _Program]:
-    """Search for the multipliers (prices) that give the largest lower bound on a flight's energy.
+    """Search for the prices that give the largest lower bound on a flight's energy.
 
-    Each leg of the flight (from one waypoint to the next) has its own prices. They are found by
-    cutting planes, as `bound_of_pairs` explains. During the search, the bound is computed from
-    sampled pairs of thrust and airspeed, and is not yet proven.
+    The bound during the search is approximate, because the least H is sampled. The method is that
+    of cutting planes (Kelley, 1960): in each round, the pairs of least H at the present prices
+    become constraints of a linear program.
 
     Parameters
     ----------
@@ -812,8 +717,8 @@ def prices_of_pairs(
     list of MotionPrices
         The best prices found, for each leg.
     _Program
-        The linear program of the search; its method `bound` computes the lower bound for given
-        prices.
+        The linear program of the search; its method `bound` computes the lower bound from prices
+        and proven values of the least H.
     """
     tolerance = POWER_TOLERANCE * power
     program = _Program(legs, shared, power, pairs.standing)
@@ -840,13 +745,10 @@ def prices_of_pairs(
 
 
 class _Program:
-    """Linear program for the multipliers that maximise the lower bound on a flight's energy.
+    """Linear program for the prices that maximise the lower bound on a flight's energy.
 
-    The mission fixes by how much a flight changes momentum, position and kinetic energy of the
-    vehicle; the prices are the Lagrange multipliers of these conditions. H is a function of a pair
-    of thrust and airspeed: the power of the pair minus the sum over the three quantities of (rate
-    of change * price). The bound contains the least H over all pairs. The program has one linear
-    constraint for each pair that is known so far.
+    Each pair of thrust and airspeed that is known so far gives one linear constraint: the least H
+    of a leg is at most the value of H at the pair.
 
     Parameters
     ----------
@@ -914,9 +816,7 @@ class _Program:
     def add(self, k: int, pair: FloatArray) -> None:
         """Add a constraint: the least H of leg ``k`` is at most the value of H at a given pair.
 
-        The prices and the least H of each leg are unknowns of the program. H is a linear function
-        of the prices. `pair` is an array from `Pairs.cheapest`, shape (8,): the power of the pair
-        [W], then the derivatives of H with respect to the prices.
+        `pair` is from `Pairs.cheapest`, shape (8,): power [W], then derivatives of H by the prices.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -927,14 +827,10 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        The unknowns are the prices and auxiliary variables, shape (n_unknowns,). The method
-        `prices` computes the prices on each leg from them.
-
-        The program has constraints only for the pairs that are known so far. Further constraints
-        could only lower the optimal value. Up to a tolerance, the optimal value is therefore an
-        upper limit on the bound that any prices prove. The search for prices ends when the best
-        bound found is close to this limit.
+        No prices can prove a bound above the optimal value, up to a tolerance. The method `prices`
+        converts the unknowns into prices.
         """
+        # Pairs that are not known yet could only lower the optimal value.
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
         limits[3, 0] = 0.0
@@ -944,11 +840,7 @@ class _Program:
         return found.x, -float(found.fun)
 
     def prices(self, solution: FloatArray) -> list[MotionPrices]:
-        """Return the prices on each leg from the unknowns of the linear program.
-
-        Prices are the Lagrange multipliers of momentum, displacement and kinetic energy. `solution`
-        holds the values of all unknowns, shape (n_unknowns,), as `solve` returns them.
-        """
+        """Return the prices on each leg from the unknowns that `solve` returns."""
         return [
             MotionPrices(
                 momentum=solution[:3] / leg.mass,
@@ -959,18 +851,10 @@ class _Program:
         ]
 
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
-        """Return the lower bound on the flight's energy [J] that given prices (multipliers) prove.
+        """Return the lower bound on the flight's energy [J] that given prices on the legs prove.
 
-        `prices` are the prices on each leg. `least` holds for each leg the least H over all pairs,
-        or a lower bound on it, shape (n_legs,) [W]. The bound is the sum of two parts
-        (docs/theory/bound.md, eq. (19)):
-
-        - The sum over the legs of w . displacement - slack * |w|, where w is the price of
-          displacement. The slack is the sum of the distances by which the two ends of the leg may
-          be away from their nominal places.
-        - The sum over the groups of legs of duration * (smallest `least` of the group). A group
-          consists of the legs between two fixed times. The duration is the least or the greatest
-          that the mission allows for the group, whichever gives the smaller product.
+        `least` holds for each leg a lower bound on H over all pairs [W], shape (n_legs,).
+        Implements docs/theory/bound.md, eq. (19).
         """
         found = sum(
             float(p.displacement @ leg.displacement)

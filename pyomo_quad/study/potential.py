@@ -1,25 +1,10 @@
 """Lower bound on the energy of flights through a wind field, by a potential over the ground.
 
-The bound of `study.pairs` assumes that the most favourable wind of the field blows everywhere. The
-bound of this module uses the winds that the field has at each place. A potential is a function of
-the horizontal position. Its rise from start to goal, plus terms for height and duration, is a lower
-bound on the energy of every flight, along any path. Derivation: see docs/theory/bound.md, eqs. (23)
-to (27).
-
-The potential must meet a condition at every place: in every wind of the place, the power of every
-motion is at least the sum of
-
-- the rate at which the motion gains potential,
-- the rates of change of momentum, kinetic energy and height, each times its price, and
-- a constant, the price of time.
-
-This condition limits the gradient of the potential. The bound is the integral of the sum over the
-flight. In the integral, the terms for momentum and kinetic energy vanish, because a flight begins
-and ends at rest.
-
-A price is the Lagrange multiplier (dual variable) of the total change of momentum, position or
-kinetic energy over a flight, which the mission fixes. A pair is a combination of thrust and
-airspeed.
+The bound uses the winds of each place; that of `study.pairs` assumes the most favourable wind
+everywhere. The rise of a potential from start to goal, plus terms for height and duration, is a
+lower bound on the energy of every flight, along any path. A price is a Lagrange multiplier of a
+total change that the mission fixes. A pair is a combination of thrust and airspeed. Derivation: see
+docs/theory/bound.md, eqs. (23) to (27).
 
 symbol | meaning
 u, v | thrust and airspeed of a pair
@@ -33,14 +18,17 @@ a | price of momentum [W/N] in the wind W: o + eta W
 G(a, q) | least value of P - a . (u + f - s) - q . v - eta v . (u + f - s) over all pairs u, v
 h | price of time [W], the constant in the condition on the potential
 
-A gradient q is allowed in the wind W if G(o + eta W, q) >= h + q . W. G is a concave function of a
-and q together. This has three consequences:
+The condition on the potential: a gradient q is allowed in the wind W if
 
-- Linear interpolation between proven values of G gives lower bounds on G.
-- The allowed gradients in a wind form a convex set. An inscribed polygon represents it. Its corners
-  lie in equally spaced directions, of which the first is the direction of a.
-- Let a rectangle contain all winds of a cell. A gradient that is allowed in the four winds at the
-  corners of the rectangle is allowed in all winds of the cell.
+G(o + eta W, q) >= h + q . W.
+
+G is a concave function of a and q together. Therefore
+
+- linear interpolation between proven values of G gives lower bounds on G;
+- the allowed gradients in a wind form a convex set, which an inscribed polygon represents; its
+  corners lie in equally spaced directions, of which the first is the direction of a;
+- a gradient that is allowed at the corners of the rectangle of a cell's winds is allowed in all
+  winds of the cell.
 
 The largest rise of a potential with allowed gradients is the optimal value of a linear program.
 """
@@ -86,8 +74,8 @@ _SLIVER, _SHRUNK = 1e-9, 1.0 - 1e-7
 class PlacePrices:
     """Prices in the bound by a potential, which are equal at all places of a wind field.
 
-    The mission fixes by how much a flight changes momentum, kinetic energy and height of the
-    vehicle. The prices are the Lagrange multipliers of these changes.
+    They are the Lagrange multipliers of the changes of momentum, kinetic energy and height that the
+    mission fixes.
 
     Attributes
     ----------
@@ -111,19 +99,15 @@ class PlacePrices:
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
         """Convert the prices of `study.pairs` into prices for the bound by a potential.
 
-        `prices` are the multipliers that `study.pairs` found for a range of winds. The wind in the
-        middle of this range is `middle`, shape (3,) [m/s]. The result differs from `prices` as
-        follows:
-
-        - The kinetic energy is that of the motion over ground, not relative to air of the velocity
-          `middle`. The price of momentum is converted accordingly.
-        - There is no price of horizontal displacement: the gradient of the potential takes its
-          place.
-        - There is a price of time (attribute `power`), which is zero.
+        `middle` is the middle of the range of winds for which `prices` were found, shape (3,)
+        [m/s]. The price of time in the result is zero.
         """
         return cls(
+            # Here the kinetic energy is that of the motion over ground, not relative to air of the
+            # velocity `middle`.
             offset=prices.momentum - prices.motion * middle,
             motion=prices.motion,
+            # The gradient of the potential takes the place of the horizontal price.
             climb=float(prices.displacement[2]),
         )
 
@@ -133,12 +117,10 @@ class PlacePrices:
         sizes: FloatArray,
         lengths: FloatArray,
     ) -> GradientTable:
-        """Tabulate the function G over prices of momentum and gradients of a potential.
+        """Tabulate the function G over horizontal prices of momentum and gradients of a potential.
 
-        The docstring of this module defines G. This object gives the vertical price of momentum,
-        the price of vertical displacement and the price of kinetic energy. G then depends on three
-        numbers: the length of the horizontal part of the price of momentum, the length of the
-        gradient, and the angle between the two.
+        G depends on their lengths and on the angle between them. The other prices are those of this
+        object.
 
         Parameters
         ----------
@@ -180,9 +162,8 @@ class PlacePrices:
 class GradientTable:
     """Table of the function G, which limits the gradient of a potential.
 
-    The docstring of this module defines G. The method `gradients` computes the allowed gradients
-    from G. The price of momentum and the gradient of the potential are horizontal vectors here. The
-    table holds G for several magnitudes of both vectors and for several angles between them.
+    The module docstring defines G. The table holds G for magnitudes of two horizontal vectors, the
+    price of momentum and the gradient of the potential, and for angles between them.
 
     Attributes
     ----------
@@ -203,8 +184,7 @@ class GradientTable:
     def gradients(self, prices: PlacePrices, winds: FloatArray) -> FloatArray | None:
         """Return the allowed gradients of a potential in each of n winds, as polygons.
 
-        A gradient is allowed in a wind if the potential meets the condition in the docstring of
-        this module. Implements docs/theory/bound.md, eq. (26).
+        Implements docs/theory/bound.md, eq. (26).
 
         Parameters
         ----------
@@ -240,18 +220,22 @@ class GradientTable:
 
 
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
-    """Return where concave functions fall to zero, from samples of the functions.
+    """Return where concave functions fall to zero, by linear interpolation between samples.
 
-    `GradientTable.gradients` finds in this way the largest allowed length of a gradient in each
-    direction. There are m directions, and n functions in each direction:
+    There are n functions in each of m directions, with k samples each. The first sample of each
+    function must be positive. If all its samples are positive, the result is the last argument.
 
-    - `at`, shape (m, k): the k sampled arguments in each direction, increasing.
-    - `values`, shape (n, m, k): the values of the functions at these arguments. The first value of
-      each function is positive.
+    Parameters
+    ----------
+    at : ndarray, shape (m, k)
+        Arguments in each direction, increasing.
+    values : ndarray, shape (n, m, k)
+        Values of the functions.
 
-    The result, shape (n, m), has the argument at which each function is zero, with linear
-    interpolation between samples. If all values of a function are positive, the result has the last
-    argument.
+    Returns
+    -------
+    ndarray, shape (n, m)
+        Argument at which each function is zero.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -264,8 +248,7 @@ def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
 class Sampled:
     """Approximation of the function G by a least value over samples of pairs.
 
-    The docstring of this module defines G as a least value over all pairs. With fewer pairs, the
-    least value can only be larger. The approximation is therefore never below G.
+    The approximation is never below G, which is the least value over all pairs.
 
     Parameters
     ----------
@@ -327,10 +310,8 @@ class Places:
     def _shares(self, place: FloatArray) -> list[tuple[int, float]]:
         """Return the nodes of the triangle of the grid that contains a place, with their weights.
 
-        `place` is a position, of which only x and y count [m]. The weights are the barycentric
-        coordinates of the place in the triangle. They interpolate a potential linearly: its value
-        at the place is the sum over the nodes of (weight * value at the node). Each item of the
-        result is (index of node, weight).
+        Only x and y of `place` count [m]. The weights are barycentric, for linear interpolation.
+        Each item is (index of node, weight).
         """
         cell, shares = [], []
         for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
@@ -347,9 +328,8 @@ class Places:
     def rise(self, gradients: FloatArray) -> float:
         """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        The largest rise is the optimal value of a linear program. It is slightly reduced to allow
-        for the tolerances of the solver, and is therefore a valid part of a lower bound. Implements
-        docs/theory/bound.md, eq. (27).
+        The tolerances of the linear program's solver are deducted, so that a bound stays valid.
+        Implements docs/theory/bound.md, eq. (27).
 
         Parameters
         ----------
@@ -384,11 +364,9 @@ class Places:
 
 
 def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the edges of the intersections of polygons, as linear inequalities.
+    """Return the edges of the intersections of each cell's polygons, as linear inequalities.
 
-    Each polygon contains the gradients of a potential that are allowed in one wind. For each cell
-    of the wind field's grid, the polygons of several winds are intersected. A gradient q is in the
-    intersection if ``normal . q <= most`` for each edge of the intersection.
+    A gradient q is in the intersection if ``normal . q <= most`` for each of its edges.
 
     Parameters
     ----------
@@ -421,9 +399,8 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 class _Search:
     """Calculator of lower bounds on the energy by a potential, approximate and proven.
 
-    The docstring of this module defines the potential and the function G, which limits its
-    gradient. An approximate bound uses sampled values of G. A proven bound uses proven lower bounds
-    on G.
+    A bound is approximate with sampled values of the function G, and proven with proven lower
+    bounds on G. The module docstring defines the potential and G.
 
     Parameters
     ----------
@@ -457,10 +434,8 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return a lower bound on the energy of every flight [J], from a table of the function G.
 
-        The bound is the largest rise of a potential from start to goal, plus terms for height and
-        duration. It is proven if the values in `table` are proven lower bounds on G. It is
-        approximate if they are sampled. The result is minus infinity if even the gradient zero is
-        forbidden in one of the winds of the field.
+        The bound is proven if the values in `table` are proven. It is minus infinity if a wind
+        forbids even the gradient zero.
 
         Parameters
         ----------
@@ -479,14 +454,8 @@ class _Search:
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
         """Return prices with the price of time that gives the largest approximate lower bound.
 
-        The bound on the energy is a sum of three terms: the rise of a potential from start to goal,
-        a term for the height, and the price of time times the duration. A larger price of time
-        increases the third term. It also allows only smaller gradients of the potential, and thus
-        reduces the first term.
-
-        `prices` are the Lagrange multipliers in the bound; only their attribute `power`, the price
-        of time, is changed. It is zero on entry. It remains zero if the duration is free: if the
-        least duration is less than half the greatest. The result is None if the multipliers give no
+        In `prices`, the price of time (`power`) is zero. It stays zero if the duration is free: if
+        the least duration is below half the greatest. The result is None if the prices give no
         bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
@@ -495,6 +464,8 @@ class _Search:
             return None
         if self._durations[0] < self._durations[1] / 2:
             return prices
+        # A larger price of time raises the term of the duration, but allows only smaller gradients
+        # of the potential.
         found = minimize_scalar(
             lambda power: -max(self._bound(replace(prices, power=power), table), -1e12),
             bounds=(0.0, most),
@@ -504,14 +475,8 @@ class _Search:
         return replace(prices, power=float(found.x))
 
     def proven(self, prices: PlacePrices) -> float:
-        """Return a proven lower bound on the energy, for given prices (Lagrange multipliers) [J].
+        """Return a proven lower bound on the energy for given prices [J].
 
-        The bound is the sum of three terms: the largest rise of a potential from start to goal, the
-        price of height times the difference in height, and the price of time times the duration.
-
-        Proven lower bounds on G decide which gradients the potential may have in each wind. To save
-        time, they are computed only for the gradient zero and for gradients near the largest
-        allowed ones. Sampled values of G tell approximately how large the allowed gradients are.
         The result is minus infinity if even the gradient zero is forbidden in one of the winds of
         the field.
         """
@@ -519,6 +484,7 @@ class _Search:
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
             return -inf
+        # Proofs take long: sampled values of G tell near which gradients they are needed.
         length = np.linalg.norm(gradients, axis=2)
         mirrored = np.roll(length[:, ::-1], 1, axis=1)
         both = np.concatenate([length, mirrored])[:, :_DIRECTIONS]
@@ -542,11 +508,8 @@ def bound_by_places(
 ) -> float:
     """Return a lower bound on the energy of flights [J], from the wind at each place of a field.
 
-    The bound is the sum of three terms: the rise of a potential from start to goal, a term for the
-    difference in height, and a term for the duration. The power of motions in the winds at a place
-    limits the gradient of the potential there. This limit and the two other terms depend on prices:
-    the Lagrange multipliers of the total changes of momentum, height and kinetic energy. The
-    function searches for prices that give a large bound. Implements docs/theory/bound.md, eq. (25).
+    The function searches for prices that give a large bound. Implements docs/theory/bound.md, eq.
+    (25).
 
     Parameters
     ----------

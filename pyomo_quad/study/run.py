@@ -105,8 +105,7 @@ class RunResult(Summarised):
     def summary(self) -> dict[str, str]:
         """Summary of the run, as a mapping from the name of a result to its value as text.
 
-        The results are the name of the scenario, the status of the plan, the energy of each flight,
-        the lower bound on the energy and, with turbulence, the share of flights that succeed.
+        The results include the status of the plan, the energy of each flight and the lower bound.
         """
         bound = self.certificate.lower_bound_J
         return {
@@ -121,8 +120,8 @@ class RunResult(Summarised):
     def gap_percent(self) -> float | None:
         """Optimality gap in per cent: 100 (energy of the plan - lower bound) / energy of the plan.
 
-        Any other flight of the mission can save at most this part of the plan's energy. None if the
-        solve failed, if no bound is known, or if the plan was made for a forecast of the wind.
+        Any other flight can save at most this part. None if the run has no flights, if no bound is
+        known, or if the plan was made for a wind forecast.
         """
         if not self.flights or self.scenario.wind.forecast is not None:
             return None
@@ -145,10 +144,9 @@ class RunResult(Summarised):
     def to_xarray(self) -> "xr.Dataset":
         """Return all flights as a dataset over "flight" and "sample", with units.
 
-        The flights differ in duration, so "time_s" is a variable over both dimensions; a flight
-        with fewer samples ends in NaN.  Energies, duration and final distance from the goal
-        ("terminal_miss_m") of each flight are variables over "flight"; scenario, status and lower
-        bound are attributes.
+        "time_s" is a variable over both dimensions; shorter flights end in NaN. Energies, duration
+        and "terminal_miss_m" (distance from the goal) are variables over "flight". Scenario, status
+        and lower bound are attributes.
 
         Examples
         --------
@@ -256,10 +254,9 @@ def run_scenario(
 ) -> RunResult:
     """Plan a scenario, simulate and compare all flights, and compute the lower bound.
 
-    If a solve or a flight fails, the result says so; no exception is raised. The run ends after the
-    time that the scenario's field `solver.time_limit` allows. A warning replaces each flight that
-    is incomplete by then. On Linux, copies of the process simulate the flights in parallel, one per
-    core, if BLAS has one thread (`OMP_NUM_THREADS=1`).
+    A failed solve or flight raises no exception. At the time limit (`solver.time_limit`), all
+    solves and simulations stop; a warning then replaces each unfinished flight. On Linux, the
+    flights run in parallel if `OMP_NUM_THREADS=1`.
 
     Parameters
     ----------
@@ -407,13 +404,11 @@ def _often(
 def _priced(
     flights: tuple[Flight, ...], scenario: Scenario, planner: Planner, progress: Progress | None
 ) -> tuple[Flight, ...]:
-    """Return the flights with the energy that each still needs to the exact goal state.
+    """Return the flights with their owed energy: the energy from the end to the exact goal state.
 
-    This energy (the owed energy) is estimated from the flight's end state with the costates of a
-    plan at its end. Without a wind forecast, these are the costates of the run's plan for all
-    flights. With a forecast, the run's plan was made for the forecast wind, and only its own flight
-    uses its costates. The other flights were simulated in the actual wind. For them, another plan
-    is solved for the actual wind, and its costates are used.
+    If the scenario has a wind forecast, a plan for the actual wind is solved. The costates at its
+    end give the estimates for all flights but the plan's. Without a forecast, the flights have
+    their estimates already, and are returned unchanged.
 
     Parameters
     ----------
@@ -422,12 +417,15 @@ def _priced(
     scenario : Scenario
         Scenario of the run.
     planner : Planner
-        Solves the plan for the actual wind.
+        Solves this plan.
     progress : callable or None
         Called at each Ipopt iteration of this solve.
     """
+    # Without a forecast, the costates of the run's plan have already priced all flights.
     if scenario.wind.forecast is None or not flights:
         return flights
+    # The run's plan was made for the forecast wind, but the other flights were simulated in the
+    # actual wind, so the costates of a plan for the actual wind apply to them.
     told = planner.solve(scenario.as_it_blows(), progress=progress)
     prices = told.end_prices if told.verification is not None else {}
     optimum, *others = flights
@@ -439,10 +437,8 @@ def _adaptation(
 ) -> pd.DataFrame | None:
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    `scenario` is the mission of the run. `optimum` is the flight of its plan, whose table tells
-    whether there is wind; None if there is no plan. `dynamics` are the vehicle's dynamics in the
-    actual wind. The result is the table of `adaptation_study`. It is None in calm air, without a
-    plan, or if a simulation fails.
+    `optimum` is the flight of the plan. The result is None if `optimum` is None, if the air is
+    calm, or if a simulation fails.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

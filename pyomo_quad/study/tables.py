@@ -12,8 +12,7 @@ class TableColumn(StrEnum):
     """Base class of enumerations of a table's columns, one member for each column, in order.
 
     The value of a member is the heading of the column. If the rows are made from objects, the
-    member also has a function `read`. This function takes the object of a row, and returns the
-    value of the row in this column.
+    function `read` of a member returns the column's value for a given object.
     """
 
     read: Callable[[Any], object]
@@ -21,9 +20,8 @@ class TableColumn(StrEnum):
     def __new__(cls, name: str, read: Callable[[Any], object] = str) -> Self:
         """Make a column of a table, with the heading `name`.
 
-        If each row of the table is made from an object, `read` is the function that takes this
-        object and returns the row's value in this column. If the rows are given as values, `read`
-        is not used.
+        `read` takes the object from which a row is made, and returns the column's value. The method
+        `of_objects` calls it; `of_rows` does not.
         """
         column = str.__new__(cls, name)
         column._value_ = name

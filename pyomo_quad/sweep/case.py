@@ -1,9 +1,8 @@
 """Solution of one case of a sweep: the worker's input, the solve, and the output columns.
 
-A case is one variant of the sweep's base scenario, with its own values of the fields that vary. A
-worker receives a `CaseTask`. It plans the case's flight, or simulates a controller that tracks the
-base scenario's plan in the case's scenario. It returns a `CaseOutcome`, the row of the case in the
-sweep's result table.
+A case is one variant of the sweep's base scenario. A worker receives a `CaseTask`. It plans the
+case's flight, or simulates a controller that tracks the base scenario's plan in the case's
+scenario. It returns a `CaseOutcome`, the row of the case in the sweep's result table.
 """
 
 import importlib
@@ -162,18 +161,10 @@ class CaseOutcome:
     def of(cls, task: CaseTask, result: CaseResult) -> "CaseOutcome":
         """Make the row of a sweep's case from the result that the case solver returned.
 
-        `task` is the input of the case. `result` holds its output values, its solution and the
-        reason of a failure. Two kinds of output values are dropped:
-
-        - values that are not finite, because JSON has no NaN;
-        - values whose size exceeds the constant `LARGEST_OUTPUT`, because their sums and squares
-          may overflow.
-
-        The row also holds a warm start, the packed initial guess for the children of the case. It
-        is the solution in `result`. Without a solution, for example after a failure, it is the warm
-        start that the case itself received.
+        Output values that are not finite, or whose magnitude exceeds `LARGEST_OUTPUT`, are dropped.
+        If the result has no warm start, the row takes that of the task.
         """
-        # Columns whose value is NaN or infinite are left out, because JSON has no NaN.
+        # JSON has no NaN, and sums and squares of larger values may overflow.
         finite = {n: float(v) for n, v in result.values.items() if abs(v) <= LARGEST_OUTPUT}
         return cls(
             position=task.position,
@@ -264,14 +255,10 @@ _ERROR_DIGITS = 2
 
 @dataclass(frozen=True, kw_only=True)
 class _Flown:
-    """Flight of a sweep's case, with its plan and scenario.
+    """Flight of a sweep's case, from which the output columns of the sweep are computed.
 
-    The output columns of the sweep are computed from the attributes and properties of this class:
-
-    - `plan` is the plan of the case, or the base scenario's plan if all cases fly that plan.
-    - `flight` is a flight of this plan, or a flight along another reference trajectory, for
-      comparison.
-    - `scenario` is the scenario of the case.
+    `plan` is the case's plan, or the base scenario's if all cases fly it. `flight` is a flight of
+    this plan, or along another reference.
     """
 
     flight: Flight
@@ -288,12 +275,12 @@ class _Flown:
     def repeats(self) -> float:
         """Number of repetitions of the flight that one battery charge permits.
 
-        The available charge is the difference between the initial and the lowest permitted state of
-        charge. Every flight is assumed to use as much charge as the first. In truth the battery
-        voltage falls, later flights use more charge, and the number is slightly smaller.
+        The available charge is the initial less the lowest permitted state of charge.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
+        # Every flight counts as the first. In truth the voltage falls, later flights use more
+        # charge, and the number is slightly smaller.
         return usable / self.charge_used if self.charge_used > 0.0 else np.nan
 
     @property
@@ -304,15 +291,10 @@ class _Flown:
 
     @property
     def saved(self) -> float:
-        """Energy saving of the plan compared with this flight, as a fraction.
+        """Energy saving of the plan compared with this flight, as a fraction: 1 - P / E.
 
-        The saving is 1 - P / E. P is the energy of the plan. E is the energy of this flight plus
-        its owed energy, the estimated energy that the vehicle still needs to the exact goal state.
-        This flight follows a reference trajectory that the sweep lists for comparison, such as a
-        smooth path.
-
-        The saving is NaN if the flight did not arrive (see `study.comparison.has_arrived`), if it
-        broke a limit, or if the owed energy is unknown.
+        P is the energy of the plan, and E that of the flight to the exact goal state. NaN if the
+        flight is not comparable (see `study.comparison.is_comparable`).
         """
         if not is_comparable(self.flight):
             return np.nan
@@ -481,8 +463,8 @@ def unpack(packed: bytes) -> WarmStart | None:
 def solve_case(task: CaseTask) -> CaseResult:
     """Solve one case of a sweep: plan its flight, or fly the base scenario's plan.
 
-    All sweeps that the commands run use this function as their case solver. The function keeps its
-    planner from case to case, so that the compiled model is used again.
+    All sweeps that the commands run use this function as their case solver. The compiled model is
+    kept for later cases.
 
     Parameters
     ----------
@@ -523,10 +505,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
     """Simulate a controller that tracks the base scenario's plan in the scenario of a sweep's case.
 
-    `task` is the input of the case, with the base scenario of the sweep. `scenario` is the scenario
-    of the case. The result holds the output columns of the flight. If the base scenario's plan is
-    not verified, or if two integrators disagree on the flight, the case fails. The result then
-    holds the reason.
+    The case fails if the plan is not verified, or if two integrators disagree on the flight.
     """
     base = Scenario.model_validate_json(task.base)
     plan = _BENCH.base_plan(base, task.base)
@@ -556,9 +535,8 @@ class _Bench:
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
         """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
 
-        `scenario` is the scenario of the case. `warm_start` is the packed solution of the parent,
-        or None. If it is None, or if the plan from this warm start is not verified, the case is
-        solved from the planner's own initial guess.
+        `warm_start` is the packed solution of the parent. If it is None or damaged, or if the plan
+        solved from it is not verified, the solve starts from the planner's own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:

@@ -42,8 +42,8 @@ _BAR: dict[str, Any] = {"edgecolor": "white", "linewidth": 0.0}
 def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[float]) -> Figure:
     """Draw an output quantity against the mission's duration, and its Pareto front.
 
-    A case is on the Pareto front of its curve if every shorter case of the curve has a larger
-    quantity. A star marks the best duration of each curve.
+    A case is on the front of its curve if every shorter case has a larger quantity. A star marks
+    the best duration.
 
     Parameters
     ----------
@@ -122,9 +122,8 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
     """Make a figure with `count` panels in two columns; hide an unused last panel.
 
-    A single panel has one column. The function `panel_grid` makes the figure; `layout` holds
-    further arguments for this function, such as the height of a panel. The results are the figure
-    and the array of its panels, shape (rows, columns).
+    A single panel has one column. `layout` is passed to `panel_grid`. The panels have the shape
+    (rows, columns).
     """
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
@@ -138,9 +137,8 @@ def _plot(
 ) -> None:
     """Draw one quantity of a sweep against another into a panel, with a marker at each case.
 
-    `axes` is the panel, and `rows` are the rows of the result table to draw, one for each case.
-    `of` holds the quantity on the horizontal axis and the quantity on the vertical axis. `style`
-    gives colour, dashes and marker; `look` holds further arguments of `Axes.plot`.
+    `of` holds the quantities on the horizontal and on the vertical axis. `look` holds further
+    arguments of `Axes.plot`.
     """
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
@@ -165,12 +163,9 @@ def _name_best(
     tried: Sequence[float],
     place: tuple[LineStyle, int],
 ) -> None:
-    """Print a curve's name, best duration and least quantity as a line of text in a panel.
+    """Print a curve's name, best mission duration and least quantity as a line of text in a panel.
 
-    The cases of the curve differ in the mission duration only. The name of the curve lists the
-    values of the other fields that vary in the sweep. The best duration is the duration at which
-    the quantity is least. The text says "at an edge" if the next shorter or the next longer
-    duration has no finished case.
+    "(at an edge)" is added if the next shorter or the next longer duration has no finished case.
 
     Parameters
     ----------
@@ -279,9 +274,8 @@ def _print_cells(axes: Axes, values: np.ndarray) -> None:
 def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> Figure:
     """Draw an output quantity against the wind direction, in polar coordinates.
 
-    The centre of the rose is the least value of all curves, not zero. A star marks the worst
-    direction of each curve. For most quantities, this is the direction of the greatest value. For a
-    quantity that should be large, such as a saving, it is the direction of the least value.
+    The centre is the least value of all curves, not zero. A star marks the worst direction of each
+    curve (`Quantity.worst_row`).
 
     Parameters
     ----------
@@ -335,12 +329,8 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    `rows` are the cases of one curve, sorted by wind direction. `field` is the column of the
-    direction [rad]. The repeated row has the first direction plus a full turn.
-
-    If the gap between the last and the first direction is wide, the curve stays open, and the rows
-    are returned unchanged. A gap is wide if it exceeds 1.5 times the greatest step between
-    neighbouring directions.
+    `rows` are sorted by `field`, the direction [rad]. If the gap from the last direction round to
+    the first exceeds 1.5 times the greatest step, the curve stays open.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
@@ -360,21 +350,8 @@ _BELOW, _ABOVE = SERIES_STYLES[:2]
 def draw_tornado(found: Sequence[Sensitivity], spread: Spread, quantity: Quantity) -> Figure:
     """Draw a tornado chart: the range of an output quantity as each scenario field varies alone.
 
-    The first bar is the range over all cases. Beside it stand the row numbers of the cases with the
-    least and the greatest value.
-
-    Each other bar is the range along one field, with all other fields as in the central case.
-    Beside it stand the values of the field at which the quantity is least and greatest. The central
-    case has the field values of the base scenario. If the sweep lacks a field's base value, the
-    central case has the middle of the field's values.
-
-    Some fields may have random values. Then there are two kinds of bars:
-
-    - For a field that is not random, the quantity is averaged over the random draws. The bar is the
-      range of this average.
-    - For a random field, a linear function of all random fields is fitted to the quantity. The bar
-      is the range of this function as the field varies between the 5 % and 95 % quantiles of its
-      draws.
+    The first bar is the range over all cases. Texts name the cases, or the field's values, at the
+    ends of each bar. See `Sensitivity`.
 
     Parameters
     ----------
@@ -426,9 +403,7 @@ def _draw_bar(
 ) -> None:
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
-    The bar is the range of an output quantity. The base value is the quantity in the central case.
-    The central case has the field values of the base scenario. If the sweep lacks a field's base
-    value, the central case has the middle of the field's values.
+    The base value is the quantity in the central case of the sweep.
 
     Parameters
     ----------

@@ -21,9 +21,8 @@ _DASK_LOGGERS = ("distributed", "tornado", "asyncio")
 def cluster_workers(address: str) -> Iterator[Workers]:
     """Context manager: connect to a Dask cluster, and run the cases of a sweep on its workers.
 
-    If the cluster loses a worker, Dask moves the cases of this worker to the other workers. If a
-    case loses several workers in turn, Dask gives up the case. If the scheduler is lost, all
-    results stored before the loss are kept.
+    Dask moves the cases of a lost worker to others. A case that loses several workers is given up.
+    If the scheduler is lost, stored results are kept.
 
     Parameters
     ----------
@@ -38,8 +37,8 @@ def cluster_workers(address: str) -> Iterator[Workers]:
     Raises
     ------
     ClusterError
-        If the scheduler cannot be reached, or pyomo_quad is missing or has another version on a
-        worker.
+        If `dask.distributed` is not installed here, the scheduler cannot be reached, or a worker
+        lacks pyomo_quad or has another version of it.
 
     Examples
     --------
@@ -68,8 +67,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 def _silence_dask() -> None:
     """Turn off the log messages of Dask, because this module reports a lost cluster itself.
 
-    Dask prints tracebacks when a cluster is lost. The import of Dask sets the levels of its
-    loggers. Call this function after the import.
+    Call this function after the import of Dask, which sets the levels of its loggers.
     """
     for name in list(logging.root.manager.loggerDict):
         if name.partition(".")[0] in _DASK_LOGGERS:
@@ -77,11 +75,10 @@ def _silence_dask() -> None:
 
 
 class _Threads:
-    """Counter of the worker threads of a Dask cluster.
+    """Counter of the worker threads of a Dask cluster, each of which solves one case at a time.
 
-    Each thread can solve one case at a time. `client` is the connection to the cluster. `address`
-    is the cluster's address, for error messages. The counter asks the cluster at most once in
-    `WATCH_SECONDS` (two seconds). Between two requests, it returns the last number.
+    The counter asks the cluster at most once in `WATCH_SECONDS`, and otherwise returns the last
+    number. `address` is for error messages.
     """
 
     def __init__(self, client: "Client", address: str) -> None:

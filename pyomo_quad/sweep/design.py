@@ -246,8 +246,8 @@ class Dimension:
     def is_sound(self) -> bool:
         """Whether each step has one plain value for each field, and each field has one type.
 
-        Plain values are finite numbers, texts, booleans and lists of these. The method detects
-        damaged result stores: a dimension from a study file is always sound.
+        Plain values are finite numbers, texts, booleans and lists of these. A dimension of a
+        damaged store may have others.
         """
         columns = list(zip(*self.steps, strict=False))
         kinds = [{kind_of(value) for value in column} for column in columns]
@@ -361,8 +361,6 @@ class SweepDesign:
     def changes_since(self, older: "SweepDesign") -> Iterator[str]:
         """Yield the changes of task, baselines and base scenario since an older design.
 
-        The task is to plan each case's flight, or to fly the base scenario's plan in each case. The
-        baselines are reference trajectories that the controller flies in each case, for comparison.
         After such a change, results of the older design are not valid for this design.
 
         Parameters
@@ -521,10 +519,8 @@ def case_key(overrides: Mapping[str, Any]) -> str:
 def bisection_parents(count: int) -> list[int | None]:
     """Arrange the sorted values of a field in a balanced bisection tree.
 
-    The solve for each value starts from the solution for its parent in the tree, a close neighbour.
-    The root is the middle value, which is solved first. Its children are the middle values of the
-    two halves, and each half is bisected again. A solve must wait only for its ancestors, so that
-    many solves can run in parallel: the number of ancestors is at most about log2(count).
+    The root is the middle value; its children are the middles of the two halves, and so on. Parents
+    are solved first.
 
     Parameters
     ----------
@@ -537,6 +533,7 @@ def bisection_parents(count: int) -> list[int | None]:
         Index of each value's parent, in the order of the sorted values. None for the root.
     """
     parents: list[int | None] = [None] * count
+    # A solve waits only for its ancestors, at most about log2(count): many can run in parallel.
     pending: list[tuple[int, int, int | None]] = [(0, count, None)]
     while pending:
         low, high, parent = pending.pop()

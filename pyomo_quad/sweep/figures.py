@@ -168,8 +168,8 @@ class _Figures:
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
         """Select the curves that a chart against a scenario field shows.
 
-        `field` is the dotted path of the field. The cases of a curve differ only in this field. At
-        most `_MOST_CURVES` curves are selected, spread evenly over all curves.
+        The cases of a curve differ only in `field`. At most `_MOST_CURVES` curves are selected,
+        spread evenly.
 
         Returns
         -------
@@ -193,8 +193,7 @@ class _Figures:
     def _scales(self) -> list[Dimension]:
         """Return the dimensions of the sweep that can be an axis of a chart.
 
-        A dimension is one scenario field, or several fields that change together. A chart's axis
-        needs a dimension that is numeric, not random, and has at least three values.
+        Such a dimension is numeric, not random, and has at least three values.
         """
         return [
             one
@@ -206,10 +205,7 @@ class _Figures:
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return a text for a wind rose's caption: the value at the centre, and the worst direction.
 
-    `curves` are the curves of the wind rose, and `quantity` is the output column that it shows. The
-    centre stands for the least value of the quantity over all curves. The worst direction is the
-    wind direction of the greatest value over all curves. For a quantity that should be large, such
-    as a saving, it is the direction of the least value.
+    The centre is the least value over all curves. `Quantity.worst_row` defines the worst direction.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

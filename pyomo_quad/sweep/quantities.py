@@ -114,8 +114,7 @@ def setting(value: object) -> str:
 def settings_name(fixed: Mapping[str, Any]) -> str:
     """Return the name of a curve for a chart's legend: the field values that all its cases share.
 
-    An example is "mass 1.2 kg, momentum". Each field is printed with its name and value. If the
-    value is a text, only this text is printed. Commas separate the fields.
+    An example is "mass 1.2 kg, momentum". A text value is printed without the name of its field.
 
     Parameters
     ----------
@@ -135,9 +134,7 @@ def settings_name(fixed: Mapping[str, Any]) -> str:
 def case_name(fields: Mapping[str, Any]) -> str:
     """Return the printed name of a sweep's central case: its field values, such as "a.b = 1 m".
 
-    The central case has the field values of the base scenario. If the sweep lacks a field's base
-    value, the central case has the middle of the field's values. The name is printed with heat
-    maps, which vary two fields of the central case, and with sensitivities, which vary one.
+    The docstring of `sweep.statistics` defines the central case.
 
     Parameters
     ----------

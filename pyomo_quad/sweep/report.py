@@ -94,15 +94,17 @@ def write_sweep_report(
 def _outcome(results: SweepResults) -> dict[str, Any]:
     """Compute the variables of the report's template that need at least one finished case.
 
-    `results` is the result table of the sweep. The function returns the value of each variable by
-    the variable's name:
+    Returns
+    -------
+    dict
+        Value of each variable, by its name:
 
-    - ``arrivals``: for each kind of controlled flight, the cases that missed the goal;
-    - ``arrival_m``: distance from the goal [m] above which a flight has missed the goal;
-    - ``extremes``: quantiles of each output column that the report draws;
-    - ``best_of``: printed name of the first of these output columns;
-    - ``best_durations``: mission durations at which the first output column is least;
-    - ``sensitivities``: range of each output column as each scenario field varies.
+        - ``arrivals``: for each kind of controlled flight, the cases that missed the goal;
+        - ``arrival_m``: distance from the goal [m] above which a flight has missed the goal;
+        - ``extremes``: quantiles of each output column that the report draws;
+        - ``best_of``: printed name of the first of these output columns;
+        - ``best_durations``: mission durations at which the first output column is least;
+        - ``sensitivities``: range of each output column as each scenario field varies.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -149,15 +151,24 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
     """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
 
-    `results` is the result table of the sweep. A flight missed the goal if it ended farther from
-    the goal than the constant `ARRIVAL_DISTANCE_M`. The kinds of flight differ in the trajectory
-    that the controller tracks. It is the plan of the base scenario, or a reference trajectory that
-    the study names for comparison. Each item has these entries:
+    The kinds differ in the tracked trajectory: the base scenario's plan, or a reference of the
+    study.
 
-    - ``name``: printed name of the kind of flight;
-    - ``count``: number of flights of this kind;
-    - ``away``: row numbers of the cases that missed the goal;
-    - ``worst_m``: largest final distance from the goal in these cases [m]; NaN without such cases.
+    Parameters
+    ----------
+    results : SweepResults
+        Result table of the sweep.
+
+    Yields
+    ------
+    dict
+        Item for one kind of flight:
+
+        - ``name``: printed name of the kind of flight;
+        - ``count``: number of flights of this kind;
+        - ``away``: row numbers of the cases farther from the goal than `ARRIVAL_DISTANCE_M`;
+        - ``worst_m``: largest final distance from the goal in these cases [m]; NaN without such
+          cases.
     """
     rows = results.finished
     for column in map(str, rows.columns):
@@ -179,21 +190,26 @@ def _sensitivities(
 ) -> Iterator[dict[str, Any]]:
     """Yield the range of each quantity as each scenario field varies, for the report's template.
 
-    `results` is the result table of the sweep, and `quantities` are the output columns that the
-    report draws. A quantity whose range is known along fewer than two fields is left out, because
-    there is nothing to compare. Each item has these entries:
+    Parameters
+    ----------
+    results : SweepResults
+        Result table of the sweep.
+    quantities : sequence of Quantity
+        Output columns that the report draws.
 
-    - ``label`` and ``scale``: printed name of the quantity, and factor to its printed unit;
-    - ``centre``: printed name of the sweep's central case;
-    - ``spread``: range of the quantity over all cases;
-    - ``found``: range of the quantity along each field, with the other fields as in the central
-      case.
+    Yields
+    ------
+    dict
+        Item for one quantity:
 
-    The central case has the field values of the base scenario. If the sweep lacks a field's base
-    value, the central case has the middle of the field's values.
+        - ``label`` and ``scale``: printed name of the quantity, and factor to its printed unit;
+        - ``centre``: printed name of the sweep's central case;
+        - ``spread``: range of the quantity over all cases;
+        - ``found``: range along each field, with the other fields as in the central case.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
+        # A single field leaves nothing to compare.
         if len(found) > 1:
             yield {
                 "label": quantity.label,
@@ -207,15 +223,26 @@ def _sensitivities(
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
     """Yield the mission duration at which a quantity is least, for the report's template.
 
-    `results` is the result table of the sweep, and `quantity` is the output column to minimise. If
-    the sweep varies the mission's duration, there is one item for each combination of values of the
-    other fields that vary. Otherwise there is no item. Each item has these entries:
+    There is one item for each combination of values of the other fields that vary. If the sweep
+    does not vary the duration, there are no items.
 
-    - ``fixed``: values of the other fields;
-    - ``best``: duration at which the quantity is least, and the quantity at this duration;
-    - ``scale``: factor to the printed unit of the quantity;
-    - ``at_base``: quantity at the base scenario's duration; NaN if no such case finished;
-    - ``shortest``: shortest duration that was solved.
+    Parameters
+    ----------
+    results : SweepResults
+        Result table of the sweep.
+    quantity : Quantity
+        Output column to minimise.
+
+    Yields
+    ------
+    dict
+        Item for one combination of values:
+
+        - ``fixed``: values of the other fields;
+        - ``best``: duration at which the quantity is least, and the quantity at this duration;
+        - ``scale``: factor to the printed unit of the quantity;
+        - ``at_base``: quantity at the base scenario's duration; NaN if no such case finished;
+        - ``shortest``: shortest duration that was solved.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

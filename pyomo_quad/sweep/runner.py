@@ -194,16 +194,10 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Return the cases that can be solved next: given cases, or descendants of given cases.
 
-        `cases` are the given cases. Each case that has ended is replaced by its children, the
-        neighbouring cases whose solves start from its solution. Each child that has ended is
-        replaced by its own children, and so on. In this way a resumed sweep continues with cases
-        whose parents ended in an earlier run.
-
-        Returns
-        -------
-        list of Case
-            Cases that have not ended, and can be solved now.
+        Each case that has ended is replaced by its children, and each child that has ended by its
+        own children.
         """
+        # A resumed sweep continues with cases whose parents ended in an earlier run.
         found, pending = [], list(reversed(cases))
         while pending:
             case = pending.pop()
@@ -228,13 +222,8 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        `outcome` is the row of the case. The cases that can be solved now are its children: the
-        neighbouring cases whose solves start from its solution. A child that has already ended is
-        replaced by its own children.
-
-        The store keeps the solution of a parent until all its children have ended. If the case that
-        ended was the last child of its parent, the parent's solution is deleted. A child whose
-        worker process died has not ended in this sense, because a later run solves it again.
+        The stored solution of the case's parent is deleted when all children of the parent are
+        finished or failed. It is kept if a child is lost, that is, if its worker died.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -243,6 +232,7 @@ class Sweep:
             outcome,
             case.overrides,
             is_parent=self._waiting.get(case.position, 0) > 0,
+            # A later run solves a lost case again, and needs the solution of its parent.
             spent=self._spent_parent(case) if is_settled else "",
             outdated=outdated,
         )
@@ -254,22 +244,14 @@ class Sweep:
     def _forget_descendants(self, case: Case) -> list[str]:
         """Invalidate the results of a case's descendants if an earlier run lost the case.
 
-        A case is lost if its worker process dies. The descendants of a case are its children in the
-        tree of cases, the children of the children, and so on.
-
-        A lost case has no solution. Its children were therefore solved from the solution of the
-        lost case's parent. In this run `case` has a result. If an earlier run lost it, its
-        descendants are solved again from this result. All rows then equal the rows of a sweep in
-        which no worker died.
-
-        Returns
-        -------
-        list of str
-            Keys (hashes of the field values) of the descendants. The store then deletes their rows.
-            Empty if no earlier run lost the case.
+        A run loses a case if its worker dies. Return the keys of the descendants (children, their
+        children and so on); the caller deletes their rows. If no earlier run lost the case, return
+        no keys.
         """
         if case.key not in self._lost_before:
             return []
+        # The children of a lost case started from the solution of its parent. Solved again, all
+        # rows equal those of a sweep in which no worker died.
         keys, pending = [], [case]
         while pending:
             one = pending.pop()
@@ -365,8 +347,7 @@ def estimate_sweep(
     """Estimate the time that a sweep still needs, without storing any result.
 
     The time per case is the mean over the stored results. If there are none, two neighbouring cases
-    are solved, and the time of the second case is taken. Like most cases of a sweep, it starts from
-    the solution of a neighbour.
+    are solved, and the time of the second is taken.
 
     Parameters
     ----------
@@ -404,6 +385,7 @@ def estimate_sweep(
     child = next((case for case in cases if case.parent == first.position), None)
     outcome = _solved(design, base, first, solver, None)
     if child is not None:
+        # Like most cases of a sweep, it starts from the solution of a neighbour.
         outcome = _solved(design, base, child, solver, outcome.warm_start)
     return SweepEstimate(total=len(cases), missing=len(cases), seconds_per_case=outcome.seconds)
 

@@ -2,9 +2,11 @@
 
 A quantity is an output column of the sweep's result table, such as the energy. A dimension is one
 scenario field, or several fields that change together. A sweep has a case for each combination of
-the values of its dimensions. Sensitivities and heat maps vary one or two dimensions and keep the
-other fields as in the central case. The central case has the field values of the base scenario. If
-the sweep lacks a field's base value, the central case has the middle of the field's values.
+the values of its dimensions.
+
+Sensitivities and heat maps vary one or two dimensions, and keep the other fields as in the central
+case. The central case has the field values of the base scenario. If the sweep lacks a field's base
+value, the central case has the middle of the field's values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -45,17 +47,13 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Range of an output quantity as one scenario field varies.
+    """Range of an output quantity as one scenario field varies alone from the central case.
 
-    The values of a field are either given (listed or spaced) or drawn at random. All other fields
-    with given values are as in the central case of the sweep. The range depends on the kind of the
-    field that varies:
-
-    - Field with given values: the range of the quantity over these values. If the sweep also has
-      random fields, the quantity is averaged over their draws.
-    - Random field: a linear function of all random fields is fitted to the quantity. The range is
-      that of this function between the 5 % and 95 % quantiles of the field's draws, with the other
-      random fields at their means.
+    - If the field has given values: at each value, the quantity is averaged over the draws of the
+      random fields. The range is that of the averages.
+    - If the field has random values: a linear function of all random fields is fitted by least
+      squares. The ends of the range are its values at the 5 % and 95 % quantiles of the field's
+      draws, with the other random fields at their means.
 
     Attributes
     ----------
@@ -109,8 +107,7 @@ class Spread:
     def note(self) -> str:
         """Part of a caption: how much of the quantity's variance the random fields explain.
 
-        The text contains the attribute `linear_share` in percent. It begins with a semicolon,
-        because it continues a sentence. It is empty if `linear_share` is NaN.
+        The text begins with a semicolon. It is empty if `linear_share` is NaN.
         """
         if isnan(self.linear_share):
             return ""
@@ -145,9 +142,7 @@ class Best:
     def is_inside(self) -> bool:
         """Whether the cases at the next smaller and next larger value of the field both finished.
 
-        If so, the quantity has a local minimum at the best value of the field. Otherwise a
-        neighbouring case failed, or the best value is the first or last value in the sweep. The
-        true minimum may then be elsewhere.
+        If so, the best value is a local minimum. Otherwise the true minimum may be elsewhere.
         """
         return self.is_below_flown and self.is_above_flown
 
@@ -177,8 +172,7 @@ class SweepResults:
     def central_case(self) -> dict[str, Any]:
         """Field values of the sweep's central case, by dotted path, without random fields.
 
-        If several fields change together, only the first field is included. Heat maps and
-        sensitivities vary one or two fields of the central case.
+        Of several fields that change together, only the first is included.
         """
         grid = (one for one in self.design.dimensions if not one.is_random)
         return {one.paths[0]: self._central(one) for one in grid}
@@ -243,10 +237,10 @@ class SweepResults:
         return {path: value for path, value in self.central_case.items() if path not in free}
 
     def plane(self, across: Dimension, up: Dimension, quantity: str) -> pd.DataFrame:
-        """Tabulate a quantity over two dimensions of the sweep, with all other fields held fixed.
+        """Tabulate a quantity over two dimensions of the sweep.
 
-        The other fields are as in the central case. If the sweep has random fields, the quantity is
-        averaged over their draws.
+        The other fields are as in the central case. The quantity is averaged over the draws of
+        random fields.
 
         Parameters
         ----------
@@ -271,16 +265,7 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        The values of a field are either given (listed or spaced) or drawn at random. While one
-        field varies, all other fields with given values are as in the central case.
-
-        - Field with given values: the range is that of the quantity over all values of the field.
-          The first and the last value alone do not suffice: for an angle over a full turn, the
-          quantity is equal at both. If the sweep also has random fields, the quantity is averaged
-          over their draws.
-        - Random field: a linear function of all random fields is fitted to the quantity by least
-          squares. The range is that of this function between the 5 % and 95 % quantiles of the
-          field's draws, with the other random fields at their means.
+        The class `Sensitivity` defines the ranges.
 
         Parameters
         ----------
@@ -326,6 +311,8 @@ class SweepResults:
         self, dimension: Dimension, rows: pd.DataFrame, quantity: str
     ) -> Iterator[Sensitivity]:
         field = dimension.paths[0]
+        # Over all values, not the first and last alone: for an angle over a full turn, the quantity
+        # is equal at both.
         line = _matching(rows, self.beside(dimension)).groupby(field)[quantity].mean()
         steps, values = line.index.to_numpy(dtype=float), line.to_numpy(dtype=float)
         if len(steps) > 1:
@@ -414,10 +401,8 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 class _Plane:
     """Linear least-squares fit of a quantity over the random fields of a sweep.
 
-    The fit is ``middle + slopes @ (values - centre)``. ``values`` are the values of the random
-    ``fields``, and ``centre`` are their means over the cases. ``middle`` is the value of the fit at
-    ``centre``. ``explained`` is the coefficient of determination: the fraction of the quantity's
-    variance that the fit explains.
+    The fit is ``middle + slopes @ (values - centre)``, where ``values`` are those of ``fields`` and
+    ``centre`` their means over the cases. ``explained`` is the coefficient of determination.
     """
 
     fields: tuple[str, ...]

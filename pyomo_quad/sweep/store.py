@@ -1,8 +1,8 @@
 """Result store of a parameter sweep: an SQLite database in the sweep's output folder.
 
-The store holds the sweep's design and one row for each case that has ended. The store also holds
-warm starts: solutions from which the solves of neighbouring cases start. Each row is committed when
-its case ends, so that an interrupted sweep loses no result.
+The store holds the sweep's design, one row for each case that has ended, and warm starts: solutions
+from which the solves of neighbouring cases start. Each row is committed when its case ends, so that
+an interrupted sweep loses no result.
 """
 
 import errno
@@ -128,10 +128,6 @@ def connected(file: Path, *, mode: str, called: Path | None = None) -> Iterator[
 def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
     """Context manager: connect to an SQLite database for reading, even on a read-only disk.
 
-    SQLite keeps new rows in a log file beside the database, and can read the log only in a writable
-    folder. On a read-only disk, the database and its log are therefore copied to a temporary folder
-    and read there.
-
     Parameters
     ----------
     file : Path
@@ -146,6 +142,7 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
         with connected(file, mode="ro") as connection:
             yield connection
         return
+    # SQLite reads the log file beside the database only in a writable folder.
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / file.name
         try:
@@ -349,8 +346,8 @@ _Output = Annotated[float, Field(allow_inf_nan=False, ge=-LARGEST_OUTPUT, le=LAR
 class StoredCase(BaseModel):
     """Row of a result store for one case of a sweep, validated when it is read.
 
-    The key of the case is a hash of its field values. The other columns are the field values,
-    status, reason of a failure, output values, and wall time of the solve [s].
+    The key of the case is a hash of its field values (`overrides`). `seconds` is the wall time of
+    the solve [s].
     """
 
     model_config = ConfigDict(strict=True, frozen=True)
@@ -456,12 +453,7 @@ class ResultStore:
         """Replace the stored design by a new design, and keep the stored rows.
 
         The new design must contain all stored cases. If the axes of the two designs differ, all
-        stored warm starts are deleted. A warm start is a solution from which neighbouring cases
-        start. With other axes, a case has other neighbours.
-
-        There are warm starts of some cases only, depending on the moment at which the previous run
-        ended. The results of new cases would depend on this moment if they started from old warm
-        starts.
+        stored warm starts are deleted.
 
         Parameters
         ----------
@@ -474,16 +466,14 @@ class ResultStore:
             self._connection.execute(
                 "UPDATE sweep SET value = ? WHERE name = 'design'", (design.to_json(),)
             )
+            # With other axes, a case has other neighbours. Which warm starts exist depends on when
+            # the previous run ended; results of new cases must not depend on it.
             if is_extended:
                 self._connection.execute("DELETE FROM warm_start")
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status of each stored case, by the case's key (a hash of its field values).
-
-        A finished case was solved, and verified by simulation. A failed case could not be solved or
-        verified. A lost case has no result, because its worker process died.
-        """
+        """Return the status of each stored case, by the case's key (a hash of its field values)."""
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
@@ -529,9 +519,8 @@ class ResultStore:
     ) -> None:
         """Commit the row of a case that ended, in place of an earlier row of the case.
 
-        A warm start is a stored solution from which neighbouring cases start. The row, the warm
-        start and all deletions are written in one database transaction. The key of a case is a hash
-        of the values of the scenario fields that vary.
+        The row, the warm start and all deletions are one database transaction. The key of a case is
+        a hash of its field values.
 
         Parameters
         ----------
@@ -676,16 +665,8 @@ _MOST_CHANGES = 5
 def adopt_design(store: ResultStore, design: SweepDesign) -> list[str]:
     """Continue a result store with a changed study, if the stored rows remain valid.
 
-    The rows remain valid if all of these hold:
-
-    - All stored cases are in the new design.
-    - The base scenario is unchanged.
-    - The task is unchanged: to plan each case's flight, or to fly the base scenario's plan in each
-      case.
-    - The baselines are unchanged. They are reference trajectories that the controller flies for
-      comparison.
-
-    The new design is then written into the store.
+    The rows remain valid if all stored cases are in the new design, and base scenario, task and
+    baselines are unchanged. The new design is then written into the store.
 
     Parameters
     ----------

@@ -62,14 +62,11 @@ class Sampling(Part):
     )
 
     def draw(self, axis_count: int) -> np.ndarray:
-        """Draw random points in the unit cube; each point has a coordinate for each random field.
+        """Draw random points in the unit cube, one for each sample.
 
-        A point is one sample. Its coordinates are probabilities: the value of a field is the
-        quantile of the field's distribution at the field's coordinate.
-
-        With the method ``random``, a larger number of samples keeps the previous points and appends
-        further points, so that a study can be extended. With a Latin hypercube, another number of
-        samples changes all points.
+        The value of a field is the quantile of its distribution at the point's coordinate. With the
+        method ``random``, a larger number of samples keeps the previous points; a Latin hypercube
+        changes all.
 
         Parameters
         ----------

@@ -1,9 +1,9 @@
 """Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
-Processes and cluster both offer an Executor of `concurrent.futures`. A worker may die, for example
-if it runs out of memory. The executor is then broken, and `Workers` starts a new one. Each case
-that was running may have killed the worker. All these cases are solved again, one at a time. If a
-worker dies again during one of them, this case is given up, and the other cases continue.
+Processes and cluster both offer an Executor of `concurrent.futures`. If a worker dies, for example
+because it runs out of memory, the executor is broken, and `Workers` starts a new one. Each case
+that was running may have killed the worker. All these cases are solved again, one at a time. A case
+during which a worker dies again is given up.
 """
 
 from collections import deque
@@ -32,13 +32,10 @@ WATCH_SECONDS = 2.0
 class ClusterError(PyomoQuadError, RuntimeError):
     """Error: a Dask cluster cannot be used, or was lost during a sweep.
 
-    A cluster can be used if all of these hold:
+    This machine needs the package `dask.distributed`. Each worker needs the same version of
+    pyomo_quad as this machine.
 
-    - `dask.distributed` is installed on this machine.
-    - The cluster can be reached.
-    - Each worker has the same version of pyomo_quad as this machine.
-
-    The results of cases that finished before the error remain in the result store.
+    Results of cases that finished before the error remain in the result store.
     """
 
 

@@ -1,9 +1,8 @@
 """Estimation of a vehicle's model parameters from the few data that its owner knows.
 
-The owner states at least the vehicle's mass and the size of its propellers. The length of the arms,
-the battery and other data are optional. From these data the module estimates all numbers of the
-vehicle that a scenario needs: model parameters such as moments of inertia, limits, and the battery.
-Each estimate has a range of uncertainty.
+The owner states at least the vehicle's mass and the size of its propellers. From these and optional
+data, such as the length of the arms, the module estimates all numbers of the vehicle that a
+scenario needs: model parameters, limits, and the battery. Each estimate has a range of uncertainty.
 
 Derivation: see docs/theory/vehicle_from_data.md.
 """
@@ -402,13 +401,13 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
     """Return the body coordinates x, y [m] of six or eight rotors, equally spaced on a circle.
 
-    `rotors` is the number of rotors, and `arm` the radius of the circle [m]. The result is None for
-    four rotors, because the model then needs only the length of the arms.
+    `arm` is the radius of the circle [m]. The result is None for four rotors.
     """
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(
             f"--rotors {rotors}; must be one of {', '.join(map(str, ROTOR_COUNTS))}."
         )
+    # For four rotors, the model needs only the length of the arms.
     if rotors == ROTOR_COUNTS[0]:
         return None
     angles = [2 * pi * k / rotors for k in range(rotors)]

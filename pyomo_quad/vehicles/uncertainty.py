@@ -75,9 +75,8 @@ class PowerBand:
     def ranked(self) -> tuple[tuple[Cause, float], ...]:
         """Return each cause with its mean relative effect on the power, the largest effect first.
 
-        A cause is an uncertain quantity with a range. Its effect at an airspeed is |high - low| /
-        (2 power). Here low and high are the powers at both ends of its range, and power is the best
-        estimate. The result is the mean of the effect over the airspeeds.
+        The effect at one airspeed is abs(high - low) / (2 power). `low` and `high` are the powers
+        at the two ends of the cause's range.
         """
         shares = [
             float(np.nanmean(np.abs(one.high - one.low) / (2 * self.power))) for one in self.causes
@@ -122,8 +121,7 @@ def power_band(vehicle: EstimatedVehicle, planner: Planner | None = None) -> Pow
 def _together(changes: Sequence[FloatArray]) -> FloatArray:
     """Combine the effects of independent causes on the power to one change of the power [W].
 
-    `changes` has one array for each cause: the change of the power [W] at each airspeed. At each
-    airspeed, the result is the square root of the sum of the squared changes.
+    The result is the root of the sum of squares at each airspeed.
     """
     return np.sqrt(np.nansum(np.square(changes), axis=0))
 

@@ -31,8 +31,7 @@ if TYPE_CHECKING:
     from pyomo_quad.collocation.program.nonlinear import Bounds, NonlinearProgram, Scaling
     from pyomo_quad.collocation.program.transcription import Transcription
 
-# A coefficient is bounded if its distance from a bound, at the initial point, is less than this
-# fraction of the distance between both bounds (of max(1, abs(bound)) if there is only one).
+# Margin within which a coefficient counts as near a bound at the initial point; see `_is_near`.
 _NEAR = 0.45
 
 
@@ -40,16 +39,8 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    A state has values at the element's left end and at the collocation points. An algebraic
-    variable has values at the collocation points only. The last collocation point is the element's
-    right end.
-
-    The first Bernstein coefficient is the value at the left end, and the last is the value at the
-    right end. If such a value is an unknown of the program, it has bounds already. The maps
-    therefore leave out
-
-    - the first and the last coefficient of a state;
-    - the last coefficient of an algebraic variable.
+    The maps leave out coefficients that equal a value of the variable: the first and the last of a
+    state, the last of an algebraic variable.
 
     Attributes
     ----------
@@ -57,8 +48,8 @@ class BernsteinRule:
         Matrix from the variable's values in the element to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
         Matrix from the variable's values in the element to the values of its polynomial at the
-        abscissae of the coefficients. With those of the coefficients left out, the abscissae are
-        equidistant from 0 to 1.
+        abscissae of the coefficients. The abscissa of coefficient k is k / (n_values - 1); here k
+        counts all coefficients from 0, including those that are left out.
     """
 
     coefficients: FloatArray
@@ -79,6 +70,8 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
     """
     rule = radau_rule(degree)
     at = rule.nodes if is_state else rule.points
+    # The first and the last coefficient are the values at the ends of the element. Those that are
+    # unknowns of the program have bounds already.
     kept = slice(int(is_state), -1)
     coefficients = np.asarray(np.linalg.inv(_basis(at, at.size - 1)), dtype=float)
     abscissae = np.linspace(0.0, 1.0, at.size)
@@ -134,9 +127,8 @@ class BernsteinRows:
     def scales(self, own: Scaling) -> FloatArray:
         """Return scaling factors of the bounds on coefficients, shape (n_coefficients,).
 
-        The bound on a coefficient is a linear constraint. Its factor makes the largest absolute
-        derivative of the scaled constraint, with respect to the scaled unknowns, equal to 1. `own`
-        is the scaling of the program to which the bounds are added.
+        The factor makes the largest absolute derivative of the scaled constraint, with respect to
+        the scaled unknowns, equal to 1. `own` is the scaling of the original program.
         """
         rows = self.coefficients
         entries = np.abs(rows.data) / own.unknowns[rows.indices]
@@ -145,10 +137,9 @@ class BernsteinRows:
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
-        A bound on a coefficient raises the objective more than a bound on the polynomial would,
-        because the coefficient may exceed the bound where the polynomial does not. The increase is
-        estimated as multiplier * (coefficient - value). The multiplier is that of the coefficient's
-        bound. The value is that of the polynomial at the coefficient's abscissa.
+        A coefficient may exceed a bound where its polynomial does not. The estimate is multiplier *
+        (coefficient - value), with the polynomial's value at the coefficient's abscissa. See
+        docs/theory/transcription.md, eq. (7).
 
         Parameters
         ----------
@@ -197,15 +188,8 @@ def bounded(
 ) -> BernsteinRows | None:
     """Return bounds on Bernstein coefficients in those elements where a variable is near a bound.
 
-    Bounds on the coefficients keep a variable within its bounds between the collocation points too.
-
-    The Bernstein coefficients are first computed for the given trajectory. If at least one
-    coefficient of a variable in an element is near a bound of the variable, all its coefficients in
-    this element are bounded. A coefficient is near a bound if it violates the bound, or if its
-    distance from the bound is below a margin:
-
-    - 0.45 times the distance between the two bounds, if both are finite;
-    - 0.45 max(1, abs(bound)), if only one bound is finite.
+    The bounds also act between the collocation points. All coefficients of a variable in an element
+    are bounded if the trajectory `z` is near a bound there; see `_is_near`.
 
     Parameters
     ----------
@@ -251,9 +235,8 @@ def bounded(
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
     """Return the lower and the upper bound of one variable in one element.
 
-    `bounds` are the bounds of all unknowns, and `columns` are the positions of the variable's
-    unknowns in the element. If a bound is not the same for all these unknowns, it is infinite in
-    the result.
+    `columns` are the positions of the variable's unknowns in the element. A bound that differs
+    between these unknowns is infinite in the result.
     """
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
@@ -265,12 +248,9 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
     """Return whether a variable's trajectory in one element is near one of its bounds.
 
-    `values` are the Bernstein coefficients of the variable in the element; `low` and `high` are the
-    bounds of the variable. The trajectory is near a bound if a coefficient violates the bound, or
-    if a coefficient's distance from the bound is below a margin:
-
-    - 0.45 times the distance between the two bounds, if both are finite;
-    - 0.45 max(1, abs(bound)), if only one bound is finite.
+    `values` are the variable's Bernstein coefficients in the element. The result is True if one of
+    them violates a bound, or is closer to it than a margin. The margin is 0.45 (high - low), or
+    0.45 max(1, abs(bound)) if there is only one bound.
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:

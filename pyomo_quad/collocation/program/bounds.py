@@ -149,13 +149,8 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states and algebraic variables at all nodes, as `Limit` objects.
 
-    A constraint over time on a single variable counts as a bound of that variable. The bounds may
-    depend on time and on parameters.
-
-    `program` is the nonlinear program on one mesh, with the parameter values at the collocation
-    points. `start_data` has the parameter values at other times: one row for the start of the
-    horizon, then one row for the time just after each jump of a parameter. Its columns are the
-    fraction of the horizon, the time-dependent parameters and the constant parameters.
+    A constraint over time on a single variable counts as a bound of that variable. For
+    `start_data`, see `bounds_of`.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
@@ -172,17 +167,15 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    A bound may jump together with the parameter. At the node of the jump, the state must then
-    satisfy both the bound before and the bound after the jump. This function yields the bound after
-    the jump. The function `_over_time` yields the bound before the jump.
-
-    `program` is the nonlinear program on one mesh. `data` has one row per jump: the fraction of the
-    horizon, the time-dependent parameters just after the jump, and the constant parameters.
+    `data` has one row per jump: the fraction of the horizon, the time-dependent parameters just
+    after the jump, and the constant parameters.
     """
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
     at = np.abs(nodes[:, None] - data[:, 0]).argmin(axis=0)
     lower, upper = MappedFunction(compiled.limits_over_time, len(data))(data)
+    # A bound may jump together with the parameter. The state at the node must satisfy the bound
+    # before the jump, which `_over_time` yields, and the bound after it.
     for k in np.flatnonzero(compiled.limited < layout.n_states):
         columns = layout.state_columns[at, compiled.limited[k]]
         name = compiled.limits[k].name
@@ -192,10 +185,8 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
     """Yield the values of states that are fixed at declared times, as equal bounds at a node.
 
-    A declared time is a member of the continuous set. At the node nearest to the declared time,
-    both bounds of the state equal the fixed value. `program` is the nonlinear program on one mesh.
-    `fixed` maps (variable name, fraction of the horizon) to the fixed value. Variables that are not
-    states are skipped.
+    The node is the one nearest to the declared time. `fixed` maps (variable name, fraction of the
+    horizon) to the fixed value. Other variables than states are skipped.
     """
     for (name, fraction), number in fixed.items():
         column = program.layout.state_column(name, fraction)
@@ -207,14 +198,8 @@ def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Ite
 def limits_at_points(program: Transcription) -> Iterator[Limit]:
     """Yield the bounds of static variables, and of single states at declared times.
 
-    A static variable is a variable without time; a declared time is a member of the continuous set.
-    Two kinds of bounds are yielded:
-
-    - the bounds of the static variables in the Pyomo model;
-    - the bounds from conditions (constraints at declared times) that contain a single state or a
-      single static variable.
-
-    `program` is the nonlinear program on one mesh.
+    A condition (constraint at declared times) counts as a bound if it contains a single state or
+    static variable.
     """
     compiled, layout = program.compiled, program.layout
     declared = compiled.declared
@@ -239,9 +224,8 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
     """Raise an error if the lower bound of an unknown exceeds its upper bound.
 
-    `lower` and `upper` are the bounds of all unknowns of the program. The message names the
-    variable whose lower bound exceeds its upper bound most. Where the excess is only a rounding
-    error, the entry of `upper` is set to the lower bound, in place.
+    The message names the variable with the largest excess. Where the excess is only a rounding
+    error, `upper` is set to the lower bound, in place.
     """
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
@@ -255,11 +239,8 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
 def _refuse_crossed_times(program: Transcription) -> None:
     """Raise an error if the bounds of free times contradict the order of these times.
 
-    A declared time is a member of the continuous set. A free time is a static variable (a variable
-    without time) that gives the physical time of a declared time. The free times must increase in
-    the order of the declared times. An error is raised if the lower bound of a free time is at or
-    above the upper bound of a later free time. `program` is the nonlinear program with the free
-    times.
+    A free time is a physical time that the solve determines. Its lower bound must be below the
+    upper bounds of all later free times.
     """
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
@@ -291,8 +272,7 @@ def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: Float
 def crossed(place: object, lower: float, upper: float) -> TranscriptionError:
     """Return the error for a quantity whose lower bound exceeds its upper bound.
 
-    `place` gives the name of the variable or constraint, and its time. The message begins with
-    `place`. `lower` and `upper` are the two bounds.
+    The message begins with `place`, which names the variable or constraint, and its time.
     """
     return TranscriptionError(
         f"{place}: lower bound {lower:g} is above upper bound {upper:g}; relax one of the two."
@@ -313,14 +293,8 @@ _ROW_RANGE = (1e-8, 1e8)
 def scaling_of(program: Transcription, bounds: Bounds, z: FloatArray) -> Scaling:
     """Return scaling factors of a nonlinear program, for given values of its unknowns.
 
-    `z` are the values of the unknowns, and `bounds` the bounds of the program. The factor of an
-    unknown is
-
-    - the scaling factor of its variable in the Pyomo model, if there is one;
-    - otherwise 1 / magnitude of the variable. The function `nominal_magnitudes` computes the
-      magnitude from values and bounds.
-
-    The factors of constraints and objective follow from their derivatives at `z`.
+    The factor of an unknown is 1 / magnitude; see `nominal_magnitudes`. The factors of constraints
+    and objective follow from their derivatives at `z`.
     """
     return scaling_by(program, nominal_magnitudes(program, bounds, z), z)
 
@@ -363,9 +337,8 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
     """Return the largest absolute derivative of each constraint of a program, shape (n_rows,).
 
-    `program` is the nonlinear program, and `nominal` are the magnitudes of its unknowns. The
-    derivatives are taken at the point `z`, with respect to the unknowns divided by their
-    magnitudes.
+    The derivatives are taken at the point `z`, with respect to the unknowns divided by their
+    magnitudes `nominal`.
     """
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):
@@ -378,11 +351,7 @@ def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArra
 def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) -> FloatArray:
     """Return the magnitude of each unknown, on which its scaling depends, shape (n_unknowns,).
 
-    All unknowns of a variable have the same magnitude. If the Pyomo model has a scaling factor of
-    the variable, the magnitude is the inverse of this factor. Otherwise the magnitude is the
-    largest absolute value among the variable's values and bounds; bounds of 1e6 or more are
-    ignored. If all these values and bounds are zero, the magnitude is 1. `z` are the values and
-    `bounds` the bounds of all unknowns of the program.
+    All unknowns of a variable have the same magnitude; see `_magnitude`.
     """
     layout, declared = program.layout, program.compiled.declared
     nominal = np.ones(layout.unknowns)
@@ -399,11 +368,9 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
     """Return the magnitude of one variable, on which the scaling of its unknowns depends.
 
-    `slot` is the variable, and `columns` are the positions of its unknowns. `bounds` and `z` are
-    the bounds and the values of all unknowns of the program. If the Pyomo model has a scaling
-    factor of the variable, the result is the inverse of this factor. Otherwise the result is the
-    largest absolute value among the variable's values and bounds; bounds of 1e6 or more are
-    ignored. If all these values and bounds are zero, the result is 1.
+    If the Pyomo model has a scaling factor for the variable, the magnitude is 1 / factor. Otherwise
+    it is the largest absolute value among the variable's values in `z` and its bounds, or 1 if all
+    are zero. Bounds of 1e6 or more are ignored.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -445,8 +412,7 @@ def refuse_unsolvable(program: Transcription, bounds: Bounds, z: FloatArray) -> 
 def counted(bounds: Bounds) -> str:
     """Return a phrase with the numbers of equations and of free unknowns, for error messages.
 
-    `bounds` are the bounds of the unknowns and constraints of a program. Unknowns with unequal
-    bounds are free; constraints with equal bounds are equations.
+    Unknowns with unequal bounds are free; constraints with equal bounds are equations.
     """
     free = int(np.sum(bounds.lower < bounds.upper))
     return f"{bounds.surplus + free} equations for {free} free unknowns"
@@ -457,9 +423,8 @@ def refuse_overdetermined(
 ) -> None:
     """Raise an error if a program's equations are linear and contradict each other.
 
-    Equations are constraints with equal bounds; free unknowns are unknowns with unequal bounds.
-    Only programs with more equations than free unknowns are checked. Nonlinear equations are
-    accepted, because only a solve can decide whether they have a solution.
+    Only programs with more equations (constraints with equal bounds) than free unknowns (with
+    unequal bounds) are checked.
 
     Parameters
     ----------
@@ -472,6 +437,7 @@ def refuse_overdetermined(
     fixed : iterable of str
         Names of the variables with fixed values, which the message lists.
     """
+    # Nonlinear equations are accepted: only a solve can decide whether they have a solution.
     if bounds.surplus > 0 and _is_contradictory(program, bounds, z):
         names = sorted(set(fixed))
         raise TranscriptionError(
@@ -489,15 +455,8 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
     """Return whether a program's equations are linear and have no solution.
 
-    The equations are the constraints of `program` that have equal lower and upper bounds in
-    `bounds`. The free unknowns are those with unequal bounds.
-
-    The equations are linearised at the unknowns `z`. A least-squares step of the free unknowns
-    minimises the residuals of the linearised equations. Two tests follow:
-
-    - The equations count as linear if their residuals after the step equal those of the linearised
-      equations.
-    - Linear equations have no solution if these residuals are not zero.
+    The equations are the constraints with equal bounds. They are linearised at `z`. A least-squares
+    step of the free unknowns then minimises the residuals of the equations.
     """
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
@@ -516,6 +475,8 @@ def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) 
     left, moved = -solved[:m], np.array(z)
     moved[free] += solved[m:]
     size = float(np.abs(left).max(initial=0.0))
+    # Linear equations have the residuals that the linearised equations predict after the step. They
+    # have no solution if these residuals are not zero.
     return size > _AGREED and bool(np.all(np.abs(off(moved) - left) <= _AGREED * (1.0 + size)))
 
 
@@ -526,13 +487,8 @@ _ROUNDING = 1e-9
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
     """Return bounds in which redundant constraints have infinite bounds.
 
-    A constraint is redundant here if it is satisfied, and contains fixed unknowns only. An example
-    is a path equality at a point where all states in the equality are fixed. The derivatives of
-    such an equality with respect to all free unknowns are zero. Such an equality would make the
-    equations appear linearly dependent.
-
-    `bounds` are the bounds of `program`, and `z` are the unknowns at which the constraints are
-    evaluated.
+    A constraint is redundant if it is satisfied at `z` and contains fixed unknowns only. An example
+    is a path equality at a point where all its states are fixed.
     """
     rows, columns = program.jacobianstructure()
     is_free = bounds.lower < bounds.upper
@@ -541,6 +497,8 @@ def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArra
     values = program.constraints(z)
     slack = _ROUNDING * (1.0 + np.abs(values))
     is_met = (bounds.row_lower - slack <= values) & (values <= bounds.row_upper + slack)
+    # A settled equality has zero derivatives with respect to all free unknowns. It would make the
+    # equations appear linearly dependent.
     settled = is_met & ~moves
     return replace(
         bounds,
@@ -605,8 +563,7 @@ def _refuse_value(owner: str, number: float) -> NoReturn:
 def _refuse_slope(owner: str, variable: str, slope: float) -> NoReturn:
     """Raise the error for a derivative that is not finite at the initial guess.
 
-    `owner` is the name of the equation or objective, `variable` the name of the variable with
-    respect to which the derivative is taken, and `slope` the value of the derivative.
+    `slope` is the derivative of `owner`, an equation or the objective, with respect to `variable`.
     """
     raise TranscriptionError(
         f"{owner}: its derivative by {variable} is {slope} at the initial guess; start or bound "

@@ -39,11 +39,10 @@ _MOST_MAPPED = 64
 
 @lru_cache(maxsize=_MOST_MAPPED)
 def _mapped(function: Any, size: int, n_shared: int) -> Any:
-    """Return a CasADi function that evaluates a function at several points.
+    """Return a CasADi function that evaluates `function` at `size` points.
 
-    `function` is the CasADi function of one point, and `size` the number of points. The first
-    `n_shared` inputs are the same at all points. Every other input, and every output, of the
-    returned function has one column per point.
+    The first `n_shared` inputs are the same at all points. Every other input, and every output, has
+    one column per point.
     """
     if size == 1:
         return function
@@ -114,21 +113,10 @@ class MappedFunction:
 def set_outputs_aside(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, in which the output states are set aside.
 
-    An output state affects neither the objective nor other equations. An example is an energy that
-    is only reported. Output states are left out of the nonlinear program, and are computed from its
-    solution. In the copy, they are moved to the attribute `outputs`. Their equations and initial
-    conditions are moved to the attributes `output_equations` and `output_starts`.
-
-    A state is an output state if all of these hold:
-
-    - the state and its time derivative appear in a single equality;
-    - the state has no bounds;
-    - the state is fixed at the start and nowhere else.
-
-    The search is repeated. It thus also finds states that affect only other output states.
-
-    `declared` are the declarations: the variables, equations and objective of the model.
+    An output state affects neither the objective nor other equations. Its equation and its initial
+    condition are moved to the attributes `output_equations` and `output_starts`.
     """
+    # The search is repeated, to find also states that affect only other output states.
     while True:
         found = _one_output(declared)
         if found is None:
@@ -152,9 +140,7 @@ def set_outputs_aside(declared: Declarations) -> Declarations:
 def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
     """Return the names of the symbols that stand for a variable's values at declared times.
 
-    A declared time is a member of the continuous set. The symbol for the value of x at time 0.5 is
-    named ``x[0.5]``, for example. `declared` are the declarations of the model, which include these
-    symbols. `slot` is the variable.
+    The symbol for the value of x at time 0.5 is named ``x[0.5]``, for example.
     """
     return frozenset(p.symbol.name() for p in declared.point_symbols if p.slot == slot.name)
 
@@ -162,9 +148,8 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     """Return an output state with its equation; None if the model has no output state.
 
-    An output state appears in a single equality, has no bounds, and is fixed at the start and
-    nowhere else. It affects neither the objective nor other equations. `declared` are the
-    declarations of the model: its variables, equations and objective.
+    An output state and its time derivative appear in a single equality, and in no objective or
+    integral. The state has no bounds, and is fixed at the start only.
     """
     uses = Counter[str]()
     for equation in declared.equations:
@@ -198,15 +183,8 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
     """Return whether a state has an initial condition and no other condition.
 
-    A condition is a constraint at declared times (members of the continuous set), or a value fixed
-    at a declared time. An initial condition is a condition at the start of the horizon. The result
-    is False in two further cases:
-
-    - the initial condition contains other variables;
-    - the objective contains the state's value at a declared time.
-
-    `declared` are the declarations of the model, with its conditions and objective, and `slot` is
-    the state.
+    A fixed value counts as a condition. The initial condition must not contain other variables. The
+    objective must not contain the state's value at a declared time.
     """
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -345,9 +323,8 @@ IndexArray = NDArray[np.intp]
 class DerivedFunctions:
     """CasADi functions of a vector of expressions, its sparse Jacobian, and a weighted Hessian.
 
-    The inputs of the functions are columns of numbers. The first input is the variables: all
-    derivatives are taken with respect to the variables. The second input is the data: the
-    parameters and, for equations over time, the fraction of the horizon.
+    Derivatives are taken with respect to the first input, the variables. The second input is the
+    data: the parameters and, for equations over time, the fraction of the horizon.
 
     Attributes
     ----------
@@ -375,12 +352,8 @@ class DerivedFunctions:
 class TableArguments:
     """Arguments of the interpolation tables in a model, with functions for the arguments' values.
 
-    The values of the arguments show whether a solution evaluates a table outside the range of its
-    data.
-
-    A `TableUse` is one argument of a table in one equation: the argument as an expression, with the
-    table's range. A condition is a constraint at declared times (members of the continuous set). A
-    static variable is a variable without time.
+    The values show whether a solution evaluates a table outside the range of its data. A `TableUse`
+    holds one argument of a table in one equation, and the range of the table's data.
 
     Attributes
     ----------
@@ -390,7 +363,7 @@ class TableArguments:
         (variables at a collocation point, data of the point) -> values of the arguments in
         `over_time`. The data are the fraction of the horizon and the parameters.
     in_conditions : tuple of TableUse
-        Arguments in conditions.
+        Arguments in conditions (constraints at declared times).
     points : casadi.Function
         (variables in conditions, parameters) -> values of the arguments in `in_conditions`. The
         variables in conditions are one column: the values of variables at declared times, then the
@@ -407,19 +380,18 @@ class TableArguments:
 class CompiledModel:
     """Model as CasADi functions: equations at one collocation point, conditions and objective.
 
-    Path equations are the equalities and inequalities that hold at each collocation point. The data
-    of a point are the fraction of the horizon, the time-dependent parameters and the constant
-    parameters. A static variable is a variable without time. A condition is a constraint among
-    values at declared times (members of the continuous set), static variables and integrals. Rates
-    are derivatives of the states with respect to the fraction of the horizon.
+    Path equations hold at each collocation point. A condition is a constraint among values at
+    declared times (members of the continuous set), static variables and integrals. Static variables
+    have no time.
 
     Attributes
     ----------
     declared : Declarations
         Variables, equations, conditions and objective in CasADi symbols.
     path : DerivedFunctions
-        Path equations, then integrands. The inputs are the rates, states, algebraic and static
-        variables of a point, and the data of the point.
+        Path equations, then integrands. The inputs are the rates (derivatives of the states with
+        respect to the fraction of the horizon), states, algebraic and static variables of a point,
+        and the data of the point: fraction, time-dependent and constant parameters.
     points : DerivedFunctions
         Conditions, then the objective. The inputs are the values at declared times, static
         variables and integrals, and the parameters.
@@ -469,12 +441,10 @@ class CompiledModel:
     static_of_integral: dict[int, int] = field(default_factory=dict)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle the model, with all its CasADi expressions serialised into one text.
-
-        The same symbols occur in several expressions of the model. In the restored model, the
-        expressions still share these symbols, because all expressions are serialised together.
-        """
+        """Pickle the model, with all its CasADi expressions serialised into one text."""
         parts = {item.name: getattr(self, item.name) for item in fields(self)}
+        # Expressions share symbols. They still do in the restored model, because all are serialised
+        # together.
         return _unpacked, (packed(parts),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> CompiledModel:
@@ -484,10 +454,9 @@ class CompiledModel:
     def scaled(self, magnitudes: Mapping[str, float]) -> CompiledModel:
         """Return a copy of the model with given magnitudes of its variables, for the scaling.
 
-        The scaling divides each unknown by the magnitude of its variable. `magnitudes` maps names
-        to magnitudes. A name is that of a variable, or of the Pyomo component to which the variable
-        belongs. In the copy, only the variables that `magnitudes` names have a declared magnitude.
-        If no magnitude changes, the result is the model itself.
+        `magnitudes` maps names of variables, or of their Pyomo components, to magnitudes. All other
+        variables lose their declared magnitude. If no magnitude changes, the result is the model
+        itself.
         """
         d = self.declared
         kinds = (d.states, d.algebraics, d.statics)
@@ -532,16 +501,12 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    `declared` has the variables, equations and objective of the Pyomo model, as CasADi symbols and
-    expressions. These declarations are changed before they are compiled:
+    Before they are compiled, the declarations are changed as follows:
 
-    - States that affect neither the objective nor other equations are left out of the nonlinear
-      program, and are computed from its solution. If the objective is constant, no state is left
-      out.
+    - Output states, which affect nothing else, are left out of the program, unless the objective is
+      constant.
     - A constraint on a single variable becomes a bound.
-    - An integral is replaced by a static variable (variable without time) if it enters a condition
-      (constraint at declared times) or a nonlinear term of the objective. A constraint makes the
-      static variable equal to the integral.
+    - An integral in a condition or in a nonlinear term of the objective becomes a static variable.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -596,12 +561,8 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 def _times(declared: Declarations, parameters: Any) -> Any:
     """Return a CasADi function for the physical times that bound the phases of the horizon.
 
-    The function maps (static variables, parameters) to a column of times: the start of the horizon,
-    the free interior times (interior times that the solve determines), and the end. A phase lies
-    between two consecutive times. Static variables are variables without time.
-
-    `declared` has the static variables and the expressions of the times. `parameters` is the column
-    of the parameters' symbols.
+    It maps (static variables, parameters) to a column: the start of the horizon, the interior times
+    that the solve determines, and the end. `parameters` is the column of symbols.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -610,13 +571,8 @@ def _times(declared: Declarations, parameters: Any) -> Any:
 def with_moving_limits(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, without bounds that depend on static variables.
 
-    A static variable is a variable without time. If the solve determines physical times of the
-    horizon, the time t depends on static variables. So does the upper limit of ``m.x[t] <= t``. In
-    the copy, this constraint is written as ``m.x[t] - t <= 0``. All bounds over time in the copy
-    depend only on the data: the fraction of the horizon and the parameters. A variable's own bound
-    that depends on static variables is first written as a constraint.
-
-    `declared` are the declarations: the variables, equations and objective of the model.
+    If times of the horizon are free, the time t in ``m.x[t] <= t`` depends on static variables. The
+    copy contains ``m.x[t] - t <= 0`` instead.
     """
     statics = symbol_names(_symbols(declared.statics))
 
@@ -630,6 +586,7 @@ def with_moving_limits(declared: Declarations) -> Declarations:
             for s in slots
         )
 
+    # A variable's own bound that depends on static variables becomes a constraint first.
     bounds = [
         PathEquation(
             name=s.name, expression=s.symbol, lower=s.lower, upper=s.upper, is_equality=False
@@ -649,10 +606,8 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to `equation`, whose limits depend on data alone.
 
-    The data are the fraction of the horizon and the parameters. `equation` is a constraint over
-    time, with a lower and an upper limit. Each limit that depends on static variables (variables
-    without time) becomes a separate constraint: ``y <= limit`` becomes ``y - limit <= 0``, for the
-    expression y. `moves` is a function that tells whether a limit depends on static variables.
+    If the limit in ``y <= limit`` depends on static variables, the result contains ``y - limit <=
+    0`` instead. The function `moves` tells whether a limit depends on them.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -690,13 +645,8 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 def _infinite_where(unbounded: Any, none: Any) -> Any:
     """Return the bound of the difference (expression - limit) in a constraint over time.
 
-    The constraint was ``expression <= limit`` or ``expression >= limit``; the limit has been
-    subtracted from both sides. The limit may exist in some parts of the horizon only. In these
-    parts, the bound of the difference is 0. In all other parts, the bound is infinite. The result
-    is a CasADi expression.
-
-    `unbounded` is a CasADi expression that is 1 in the parts without the limit, else 0. `none` is
-    the infinite value: positive for an upper limit, negative for a lower limit.
+    The bound is 0 in the parts of the horizon that have the limit. In the other parts, where
+    `unbounded` is 1, it is the infinite value `none`.
     """
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
@@ -705,10 +655,8 @@ def _infinite_where(unbounded: Any, none: Any) -> Any:
 def _moving_side(side: Any) -> tuple[Any, Any]:
     """Split a limit into its finite value, and an indicator of where the limit is absent.
 
-    `side` is the lower or the upper limit of a constraint over time, as a CasADi expression. The
-    model may declare different limits in different parts of the horizon. The expression is then a
-    sum with one term for each part of the horizon, and each term is zero outside its part. In a
-    part without a limit, the expression is infinite.
+    If `side` differs between parts of the horizon, it is a sum of terms, each zero outside its
+    part. A term is infinite if its part has no limit.
 
     Returns
     -------
@@ -769,11 +717,8 @@ def _table_arguments(
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
     """Return a hash that identifies a model, independently of parameter values.
 
-    The hash serves to check that a warm start (the solution of an earlier solve) belongs to the
-    same model. The hash is computed from `functions`, from the names of equations and variables,
-    and from the sense of the objective. `declared` gives these names and the sense. `functions` are
-    the CasADi functions of all equations over time, of the conditions (constraints at declared
-    times) and of the objective.
+    The hash shows whether a warm start belongs to the same model. `functions` evaluate all
+    equations over time, the conditions and the objective.
     """
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
@@ -794,11 +739,9 @@ def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
 def _anonymous(function: Any) -> str:
     """Return the code of a CasADi function as text, without the names of the model's symbols.
 
-    `function` is the CasADi function. In the text, its inputs are named i0, i1 and so on.
-
-    The text determines the hash that identifies the model. A name such as ``x[0.5]`` contains a
-    time. The hash must be independent of such times, and therefore of the names.
+    In the text, the inputs are named i0, i1 and so on.
     """
+    # A name such as x[0.5] contains a time. The hash of the model must not depend on times.
     symbols = [casadi.SX.sym(f"i{k}", function.size1_in(k)) for k in range(function.n_in())]
     return str(casadi.Function("f", symbols, function.call(symbols)).serialize())
 
@@ -806,10 +749,8 @@ def _anonymous(function: Any) -> str:
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
     """Return the CasADi function from data to the lower and upper bounds of `items`.
 
-    The function has two outputs: the column of all lower bounds and the column of all upper bounds.
-    The items are constraints or variables, each with a lower and an upper bound. `data` is the
-    column of the symbols (such as parameters) that these bounds contain, and `name` is the name of
-    the function.
+    The outputs are the column of lower bounds and the column of upper bounds. `data` is the column
+    of symbols in these bounds.
     """
     sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
@@ -843,9 +784,8 @@ def _path_symbols(declared: Declarations) -> dict[str, Any]:
 def _point_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables in conditions and objective, by name and in fixed order.
 
-    Conditions are constraints at declared times (members of the continuous set). The order is:
-    values of variables at declared times, static variables (variables without time), and integrals.
-    An integral that is replaced by a static variable is listed only as this static variable.
+    The order is: values at declared times, static variables, integrals. An integral that a static
+    variable replaces is listed only as this variable.
     """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
@@ -855,12 +795,9 @@ def _point_symbols(declared: Declarations) -> dict[str, Any]:
 
 
 def _boundable_at_points(declared: Declarations) -> frozenset[str]:
-    """Return the names of the unknowns that a condition on a single unknown may bound.
+    """Return the names of unknowns for which a condition on a single unknown becomes a bound.
 
-    A condition is a constraint at declared times (members of the continuous set). If it contains
-    only one of the returned unknowns, it becomes a bound. The returned names are those of states at
-    declared times, and of static variables (variables without time). `declared` are the
-    declarations of the model.
+    These are states at declared times, and static variables (variables without time).
     """
     states = {s.name for s in declared.states}
     at_points = {
@@ -877,10 +814,8 @@ def _is_static(declared: Declarations, name: str) -> bool:
 def _with_integral_variables(declared: Declarations) -> Declarations:
     """Return a copy of a model's declarations, with a static variable for some of the integrals.
 
-    A static variable is a variable without time. It replaces an integral that enters a condition
-    (constraint at declared times) or a nonlinear term of the objective. A constraint of the
-    nonlinear program (a single dense row) then makes the static variable equal to the integral.
-    `declared` are the declarations: the variables, equations and objective of the model.
+    If an integral enters a condition or a nonlinear term of the objective, a static variable
+    replaces it. A constraint makes the variable equal to the integral.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(
@@ -899,8 +834,7 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
 def _derive(name: str, rows: Any, variables: Any, data: Any) -> DerivedFunctions:
     """Return CasADi functions of a column of expressions, its Jacobian and its weighted Hessian.
 
-    `rows` are expressions of the symbols `variables` and `data`. The derivatives are taken with
-    respect to `variables`. `name` is the name of the functions.
+    The derivatives of the expressions `rows` are taken with respect to the symbols `variables`.
     """
     plain = WithoutCalls.of(casadi.densify(rows), [variables, data])
     jacobian = casadi.jacobian(plain.rows, variables)

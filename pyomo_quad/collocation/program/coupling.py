@@ -1,21 +1,16 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-Each continuous set of the model is a horizon, for which a nonlinear program is built. The horizon's
-program has the constraints over the set. It also has the constraints on values at single times of
-the set, if no other set is involved. The objective and all other constraints form the coupling.
+Each continuous set of the model is a horizon. The nonlinear program of a horizon has the
+constraints that contain variables of this horizon, but of no other. The objective and all other
+constraints form the coupling. Integrals over a horizon and values at declared times enter the
+coupling as follows:
 
-The coupling contains integrals over a horizon, and values of variables at declared times (members
-of the continuous sets). They are treated in three ways:
-
-- Integral that enters only the objective, and linearly: it moves into the objective of the
-  horizon's program.
-- Value of a state: a static variable (variable without time) replaces it. The static variable and
-  the state at that time are the same unknown of the joint program.
-- Any other integral or value: a static variable replaces it. A constraint of the horizon's program
-  makes the static variable equal to the integral or value.
-
-The unknowns of the joint program are the unknowns of each horizon, then the static variables that
-share no unknown with a state.
+- An integral that enters only the objective, and linearly, is left out: it moves into the objective
+  of the horizon.
+- A static variable (variable without time) replaces the value of a state. Both are one unknown of
+  the joint program.
+- A static variable replaces any other integral or value. A constraint of the horizon makes both
+  equal.
 """
 
 from __future__ import annotations
@@ -117,9 +112,8 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        The objective may contain values at any declared time (member of a continuous set).
-        Constraints on several horizons are more restricted: they may contain values at the start
-        and at the end of a horizon only. `objective` is the Pyomo objective.
+        The objective may contain values at any declared time. Constraints on several horizons may
+        contain values only at the ends of a horizon.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -127,12 +121,9 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        The variable or parameter `data` appears in the objective or in a constraint on several
-        horizons.
-
-        - If `data` belongs to one horizon, at a single time, the result is the symbol of a static
-          variable (a variable without time) that equals `data`.
-        - If `data` has no time, the result is the symbol of `data` itself.
+        If `data` is a value of a horizon at a single time, such as ``x[1]``, the result is the
+        symbol of the static variable that replaces it. If `data` has no time, the result is its own
+        symbol.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -163,14 +154,8 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        The coupling consists of the objective and of the constraints on several horizons. Two kinds
-        of values are refused:
-
-        - the value of a time-dependent parameter at a single time;
-        - a value at an interior time of a horizon, in a constraint. In the objective, it is
-          permitted.
-
-        `reader` is the reader of the value's horizon, and `data` the Pyomo variable or parameter.
+        A time-dependent parameter at a single time must not appear at all. Any other value at an
+        interior time of a horizon may appear in the objective, but in no constraint.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -189,9 +174,8 @@ class CouplingWriter(TemplateWriter):
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, or None.
 
-        The expression appears in the objective or in a constraint on several horizons. Integrals
-        over the horizons are replaced by symbols. For any other named expression the result is
-        None; it is translated like an unnamed expression.
+        An integral over a horizon is replaced by a symbol. For any other named expression, the
+        result is None, and the writer translates the expression like an unnamed one.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
@@ -301,11 +285,8 @@ def _refuse_gaps(
 ) -> None:
     """Raise an error if an equality continues one horizon in another after a gap in time.
 
-    An equality between a value at the end of one horizon and a value at the start of a later
-    horizon is meant to continue the earlier horizon. It is refused if the later continuous set
-    begins after the earlier set has ended. The gap is accepted if the end of the earlier horizon,
-    or the start of the later horizon, is free: a static variable (a variable without time) gives
-    its physical time.
+    Such an equality joins the end of one horizon to the start of a later one. The gap is accepted
+    if one of these two times is free.
 
     Parameters
     ----------
@@ -366,9 +347,8 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
     """Return static variables for a horizon's integrals that are used outside the horizon.
 
-    Each returned static variable (a variable without time) stands for one integral. `reader` is the
-    reader of the horizon's declarations, with the integrals over the horizon. `names` are the names
-    of the symbols in the objective and in the constraints on several horizons.
+    `reader` has the integrals. `names` are the names of the symbols in the objective and in the
+    constraints on several horizons.
     """
     return [
         integral.slot
@@ -411,7 +391,8 @@ Part = TypeVar("Part", "Bounds", "Scaling", "IpoptResult")
 class Union:
     """Positions of the unknowns and constraints of several programs in their joint program.
 
-    Static variables (variables without time) with the same name share one unknown.
+    Static variables (variables without time) with the same name share one unknown. The unknowns of
+    each horizon come first. The static variables that share no unknown with a state follow.
 
     Parameters
     ----------
@@ -463,9 +444,8 @@ class Union:
     def joined(self, parts: Sequence[FloatArray]) -> FloatArray:
         """Return the unknowns of the joint program from the unknowns of the separate programs.
 
-        `parts` has the array of unknowns of each program, in the order of the programs. A shared
-        unknown (for example, a static variable that appears in several programs) takes its value
-        from the first program that contains it.
+        `parts` follows the order of the programs. A shared unknown, such as a common static
+        variable, takes its value from the first program that contains it.
         """
         whole = np.zeros(self.unknowns)
         for places, part in reversed(list(zip(self.places, parts, strict=True))):
@@ -500,18 +480,16 @@ class Union:
     def part(self, whole: Part, k: int) -> Part:
         """Return the part of bounds, scaling or Ipopt's result that belongs to one program.
 
-        `whole` is the bounds, the scaling or the result of the joint program. `k` is the number of
-        the program, from 0. The result has the same type as `whole`.
+        `whole` belongs to the joint program, and the result has its type. `k` is the number of the
+        program, from 0.
         """
         return whole.part(self.places[k], self.rows[k])
 
     def nominal(self, whole: Bounds, z: FloatArray) -> FloatArray:
         """Return the magnitudes of the joint program's unknowns, shape (n_unknowns,).
 
-        The scaling divides each unknown by its magnitude. The magnitude follows from the variable's
-        declared scaling factor. Without a declared factor, it follows from the bounds and the value
-        of the unknown. `whole` has the bounds of the joint program, and `z` the values of its
-        unknowns.
+        `whole` has the bounds of the joint program, and `z` the values of its unknowns. For the
+        magnitudes, see `nominal_magnitudes`.
         """
         return self.joined(
             [
@@ -523,8 +501,8 @@ class Union:
     def multipliers(self, parts: Sequence[Multipliers]) -> Multipliers:
         """Return the multipliers of the joint program, given the multipliers of each program.
 
-        `parts` has the multipliers of each program, in the order of the programs. The multipliers
-        of a shared unknown's bounds are those of the first program that contains the unknown.
+        `parts` follows the order of the programs. The bounds of a shared unknown have the
+        multipliers of the first program that contains the unknown.
         """
         return Multipliers(
             rows=np.concatenate([part.rows for part in parts]),

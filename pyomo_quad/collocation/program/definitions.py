@@ -36,23 +36,18 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    Only equalities are considered. An algebraic variable is a linear variable of an equation if it
-    enters with a constant coefficient. An equation with a single linear variable defines this
-    variable. A defined variable no longer counts as a linear variable, so that further equations
-    may have a single linear variable. The search ends when no equation has a single linear
-    variable.
-
-    For example, ``k == exp(-1 / x)`` defines k. It does not define x, which enters nonlinearly. If
-    y is a state, ``p - q == y`` has two linear variables, p and q. This equation defines p once
-    another equation defines q.
+    An equality defines a variable that enters with a constant coefficient, if no other undefined
+    algebraic variable enters so. For example, ``k == exp(-1 / x)`` defines k, but not x. If y is a
+    state, ``p - q == y`` defines p once another equation defines q.
 
     Parameters
     ----------
     program : Transcription
         Nonlinear program on one mesh.
     z : ndarray, shape (n_unknowns,)
-        Unknowns of the program. A coefficient counts as constant if it has the same value at all
-        collocation points, and keeps this value when all variables are changed.
+        Unknowns of the program, at which coefficients are evaluated. A coefficient counts as
+        constant if it has the same value at all collocation points, and keeps this value when all
+        variables are changed.
     among : iterable of int, optional
         Indices (among all algebraic variables) of the variables that may be defined; all by
         default. Any other algebraic variable counts as already defined.
@@ -98,9 +93,9 @@ def with_defined(
 ) -> FloatArray:
     """Compute the algebraic variables that equations define, at several points.
 
-    The defining equations may depend on each other, and are solved by repeated substitution. The
-    substitution fails if the largest residual of the equations stays above a millionth of its
-    initial value, for example because of circular dependencies.
+    Repeated substitution solves the equations, which may depend on each other. It fails if the
+    largest residual stays above a millionth of its initial value, for example because of circular
+    dependencies.
 
     Parameters
     ----------

@@ -2,12 +2,11 @@
 
 Slacks are unknowns that permit a violation. There are two kinds of elastic programs:
 
-- One kind keeps the objective, and has slacks in the equations over time. The penalty keeps the
-  violations of these equations small at the optimum. This optimum then serves as the initial point
-  for a solve of the original program.
+- One kind keeps the objective, and has slacks in the equations over time. Its optimum, with small
+  violations, is the initial point for a solve of the original program.
 - The other kind has slacks in every constraint, and minimises the sum of violations instead of the
   objective. If the least sum is positive, the problem is reported as infeasible: no point near the
-  optimum satisfies all constraints and all bounds of the unknowns.
+  optimum satisfies all constraints and all bounds.
 """
 
 from __future__ import annotations
@@ -51,9 +50,8 @@ def _with_slacks(
 ) -> ExtendedProgram:
     """Return an elastic program: a copy of a program with penalised slacks in some constraints.
 
-    Each chosen constraint has two non-negative slacks, which are added unknowns. One slack
-    increases the value of the constraint, and so permits a value below the lower bound. The other
-    slack decreases the value, and so permits a value above the upper bound.
+    Each chosen constraint has two non-negative slacks. One permits a value below the lower bound,
+    the other a value above the upper bound.
 
     Parameters
     ----------
@@ -132,7 +130,6 @@ def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedP
     """Return an elastic program, whose equations over time may be violated at a penalty.
 
     The penalty per unit of slack is proportional to the quadrature weight of the collocation point.
-    On every mesh, the sum of the penalties therefore approximates an integral over the horizon.
 
     Parameters
     ----------
@@ -147,6 +144,8 @@ def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedP
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
     weights = np.zeros(0) if mesh is None else mesh.quadrature_weights
+    # With these weights, the sum of penalties approximates an integral over the horizon on every
+    # mesh.
     prices = _PRICE / scaling.objective * np.repeat(weights, is_equality.size)[rows]
     return _with_slacks(program, rows, 1.0 / scaling.rows[rows], prices, z.size)
 
@@ -162,8 +161,8 @@ def elastic_point(
 ) -> FloatArray:
     """Return the unknowns at the optimum of an elastic program, as an initial point.
 
-    In the elastic program, the equations over time may be violated at a penalty. The result lies
-    within the bounds, and has the shape (n_unknowns,).
+    The elastic program is that of `priced`. The result lies within the bounds, and has the shape
+    (n_unknowns,).
 
     Parameters
     ----------
@@ -230,14 +229,8 @@ def least_violation(
 ) -> LeastViolation:
     """Find a point at which the sum of scaled constraint violations is least.
 
-    The search solves an l1 elastic program without the objective. Each constraint may be violated
-    by a slack, measured in units of the constraint's scale. The penalty per unit of slack is the
-    same for every constraint.
-
-    Equal penalties have an advantage. Ipopt's barrier leaves a small slack even in a constraint
-    that can be satisfied. With equal penalties, this slack is about the same in all such
-    constraints. On every mesh, it is far below the threshold above which a constraint counts as
-    violated.
+    The search solves an l1 elastic program without the objective. Slacks are in units of the
+    constraints' scales, and all have the same penalty.
 
     Parameters
     ----------
@@ -259,6 +252,9 @@ def least_violation(
     is_limit = np.isfinite(bounds.row_lower) | np.isfinite(bounds.row_upper)
     rows = np.flatnonzero(is_limit)
     start = np.clip(z, bounds.lower, bounds.upper)
+    # Ipopt's barrier leaves a small slack even in a constraint that can be satisfied. With equal
+    # penalties, this slack is about the same in all such constraints, and on every mesh far below
+    # `MET`.
     elastic = replace(
         _with_slacks(program, rows, 1.0 / scaling.rows[rows], np.ones(rows.size), z.size),
         share=0.0,

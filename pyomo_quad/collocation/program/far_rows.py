@@ -1,17 +1,15 @@
 """Constraints far from their limits: left out of a warm-started solve, and checked afterwards.
 
-A mission past a dozen buildings has a dozen constraints at each collocation point, and nearly all
-of them are far from their limits. Ipopt adds a slack and a multiplier for each of them, and
-factorises a matrix that contains them in each iteration.
+Nearly all constraints of a mission past a dozen buildings are far from their limits. Each of them
+costs Ipopt a slack, a multiplier, and a row of the matrix that each iteration factorises.
 
 A constraint counts as far if it stays within its limits even if each unknown changes by a tenth of
 its magnitude. By linearisation at the warm start, row r of the constraints c is far if
 
     slack_r > 0.1 sum_j |dc_r / dz_j| magnitude_j .
 
-The program without the far rows has the same local optimum as the whole program, if its optimum
-satisfies the far rows: their multipliers are then zero. Otherwise the whole program is solved, from
-that optimum.
+An optimum without the far rows is a local optimum of the whole program if it satisfies these rows:
+their multipliers are then zero.
 """
 
 from __future__ import annotations
@@ -147,13 +145,13 @@ def run_without_far_rows(
 ) -> IpoptResult:
     """Solve a program from a warm start, without the constraints that are far from their limits.
 
-    The whole program is solved if few constraints are far. It is also solved if the optimum without
-    the far constraints violates one of them; the solve then starts at that optimum.
+    The whole program is solved if few constraints are far, or if the optimum without the far
+    constraints violates one of them.
 
     Parameters
     ----------
     run : callable
-        Solves a program; a function such as `program.ipopt.run`, with its arguments.
+        Function that solves a program. It takes the same arguments as `program.ipopt.run`.
     program, bounds, scaling, start, multipliers
         Arguments of `run`.
     **settings
@@ -182,5 +180,6 @@ def run_without_far_rows(
     keeps = (values >= bounds.row_lower[is_far]) & (values <= bounds.row_upper[is_far])
     if not found.is_converged or keeps.all():
         return found
+    # The violated far rows may be active at the optimum, so the whole program continues from here.
     whole = run(program, bounds, scaling, found.z, multipliers=found.multipliers, **settings)
     return whole.after(found)

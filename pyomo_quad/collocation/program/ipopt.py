@@ -1,7 +1,6 @@
 """Ipopt through cyipopt: settings, callbacks, progress, and the best iterate of a failed solve.
 
-Ipopt's barrier leaves a complementarity gap at the solution. The gap is the sum of multiplier times
-slack over all inequalities. For the effect of the gap on the objective, see
+Ipopt's barrier leaves a complementarity gap at the solution: see `barrier_gap` and
 docs/theory/refinement.md, eq. (16).
 """
 
@@ -103,11 +102,10 @@ _PUSHES = (
 
 
 class StartDistance(Enum):
-    """Expected distance of a warm start from the point at which the solve ends.
+    """Expected distance of a warm start from the point of the central path at which the solve ends.
 
-    The end point lies on the central path: the curve of the barrier problem's optima for all
-    positive barrier parameters. The method `SolverOptions.on_central_path` chooses Ipopt's settings
-    according to the distance:
+    The central path is the curve of the barrier problem's optima for all positive barrier
+    parameters.
 
     - `NONE`: the start practically coincides with the end point.
     - `SHORT`: the start is near the end point.
@@ -147,9 +145,8 @@ class SolverOptions:
     def suiting(self, tolerance: float) -> SolverOptions:
         """Return settings whose Ipopt tolerance suits the tolerance of the mesh refinement.
 
-        Ipopt's tolerance (its option `tol`) is set to 1e-3 times the tolerance of the mesh
-        refinement, but not below 1e-11 or above 1e-9. If the caller has already set Ipopt's
-        tolerance, the settings are returned unchanged.
+        Ipopt's option `tol` becomes ``1e-3 * tolerance``, but at least 1e-11 and at most 1e-9. If
+        the caller has set a value, it remains.
 
         Parameters
         ----------
@@ -173,48 +170,37 @@ class SolverOptions:
         return replace(self, max_iterations=int(min(self.max_iterations, iterations)))
 
     def for_phases(self) -> SolverOptions:
-        """Return the settings for models whose equations hold a variable at a bound for some time.
+        """Return settings for models in which an equation holds a variable at a bound for a while.
 
-        For example, an equation prescribes full thrust, which is also the upper bound of the
-        thrust. Or an equation keeps a tank empty, and the content of the tank has the lower bound
-        zero. Equation and bound together leave the feasible set without an interior. The
-        multipliers then diverge, and a warm start from them is slower than a solve from the guess.
-
-        With these settings, Ipopt relaxes all bounds slightly, so that the feasible set has an
-        interior. At the end, Ipopt projects the solution back onto the original bounds.
+        An example is an equation that prescribes full thrust. Ipopt solves the program with all
+        bounds slightly relaxed, and then projects the solution onto the original bounds.
         """
+        # Equation and bound together leave the feasible set without an interior. Without the
+        # relaxation, the multipliers diverge, and a warm start from them is slower than a solve
+        # from the guess.
         relaxed = (("bound_relax_factor", _RELAXED), ("honor_original_bounds", "yes"))
         return replace(self, extra=(*relaxed, *self.extra))
 
     def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        The central path is the curve of the barrier problem's optima for all positive barrier
-        parameters. Each barrier parameter gives one point of the curve. Ipopt stops at the point
-        for the given parameter. This is useful if many trajectories have nearly the same cost. The
-        controls of the exact optimum may then differ greatly from mesh to mesh. The controls at the
-        given point of the central path differ little.
-
-        The settings depend on the expected distance of the start from the given point:
-
-        - `NONE`: the start practically coincides with the point. Variables that start on their
-          bounds practically stay there.
-        - `SHORT`: the start is near the point. Ipopt moves the start inside the bounds by its usual
-          distance.
-        - `FAR`: the start is far from the point. Ipopt first moves the start inside the bounds, and
-          begins with a larger barrier parameter. Otherwise, bounds that become active or inactive
-          would shorten nearly every step.
+        `StartDistance` defines the central path. The solve ends at a positive barrier parameter.
+        If many trajectories have nearly the same cost, the controls then change less from mesh to
+        mesh: see docs/theory/refinement.md, "The barrier's role".
 
         Parameters
         ----------
         parameter : float
             Final barrier parameter (Ipopt's `mu_target`), for the scaled objective.
         distance : StartDistance
-            Expected distance of the start from the given point.
+            Expected distance of the start from the point at which the solve ends.
         """
         begun, chosen = dict(self.extra).get("mu_init", _BEGUN), dict[str, float]()
+        # With `NONE`, variables that start on their bounds practically stay there.
         if distance is StartDistance.NONE:
             begun, chosen = 0.0, dict.fromkeys(_PUSHES, _NEAR)
+        # At Ipopt's usual distance inside the bounds (`SHORT`), bounds that become active or
+        # inactive would shorten nearly every step.
         elif distance is StartDistance.FAR:
             begun, chosen = _BEGUN_FAR, dict.fromkeys(_PUSHES, _MOVED_INSIDE) | _FALLING_SLOWLY
         chosen["mu_init"] = max(parameter, begun)
@@ -223,21 +209,8 @@ class SolverOptions:
     def for_a_change(self, change: float, sides: int) -> SolverOptions:
         """Return the settings for a warm start with a given expected change of the objective.
 
-        The settings choose Ipopt's initial barrier parameter. The barrier changes the objective by
-        about the barrier parameter times the number of inequality bounds; this product is called
-        the gap.
-
-        - Usually, the initial parameter is ``change / sides``. The gap then equals the expected
-          change. With a larger parameter, the iterates would first move away from the warm start
-          and then return. The initial parameter is never larger than in other warm starts.
-        - If ``change / sides`` is below ten times Ipopt's tolerance, a smaller value is used, which
-          depends on the tolerance alone. Ipopt would otherwise keep ``change / sides`` as its
-          barrier parameter until the end of the solve. The final gap would then vary from mesh to
-          mesh.
-
-        For a large expected change, the settings also move the start well inside the bounds. A
-        large change of the objective shifts the times at which bounds become active. If the start
-        were on the bounds, Ipopt would take many short steps.
+        The settings choose Ipopt's initial barrier parameter. For a large expected change, they
+        also move the start well inside the bounds.
 
         Parameters
         ----------
@@ -245,71 +218,75 @@ class SolverOptions:
             Expected change of the scaled objective.
         sides : int
             Number of inequality bounds of the program (lower and upper bounds that are not equal).
+            The initial barrier parameter is derived from ``change / sides``.
         """
+        # The barrier changes the objective by about the barrier parameter times `sides`. With a
+        # parameter above ``change / sides``, the iterates would first move away from the warm start
+        # and then return.
         tolerance, parameter = self.tolerance or _TOLERANCE, change / max(sides, 1)
+        # Ipopt would keep a parameter below this limit until the end of the solve. The final gap
+        # would then vary from mesh to mesh. The parameter chosen instead depends on the tolerance
+        # alone.
         is_small = parameter < _ABOVE * tolerance
         last = tolerance / _WARM["barrier_tol_factor"]
         begun = last if is_small else min(parameter, _WARM["mu_init"])
+        # A large change shifts the times at which bounds become active. From a start on the bounds,
+        # Ipopt would take many short steps.
         pushes = _PUSHES if change > _LARGE_CHANGE else ()
         inside = tuple((name, _WELL_INSIDE) for name in pushes)
         return replace(self, extra=(("mu_init", begun), *inside, *self.extra))
 
     def for_moving_limits(self) -> SolverOptions:
-        """Return the settings for warm starts after which limits may become active at other times.
+        """Return settings for a warm start if limits may become active at other times than before.
 
-        A limit is a bound of a variable or constraint. From mesh to mesh, the time at which a limit
-        becomes active may change slightly. If the start lies on its bounds, these bounds then
-        shorten the first dozen steps of Ipopt. The settings therefore move the start slightly
-        inside the bounds.
+        A limit is a bound of a variable or constraint. The settings move the start slightly inside
+        the bounds.
         """
+        # If the start lies on a bound that becomes active at another time on the new mesh, the
+        # bound shortens the first dozen steps of Ipopt.
         pushes = dict.fromkeys(_PUSHES, _INSIDE) | {"warm_start_mult_bound_push": _BEGUN}
         return replace(self, extra=(*pushes.items(), *self.extra))
 
     def for_other_limits(self) -> SolverOptions:
         """Return the settings for a warm start from the solution of a problem with other limits.
 
-        A limit is a bound of a variable or constraint. The start is the solution of an earlier
-        problem, and violates limits of the new problem. With these settings, Ipopt moves the start
-        well inside the new limits. It also begins with a larger barrier parameter than in other
-        warm starts. It then needs fewer iterations to leave the limits that were active before.
+        The start may violate limits of the new problem. Ipopt moves it well inside the new limits.
+        The initial barrier parameter is 1e-5, instead of 1e-7 by default.
         """
+        # With these settings, Ipopt needs fewer iterations to leave the limits that were active
+        # before.
         pushes = dict.fromkeys(_PUSHES, _FAR_INSIDE) | {"warm_start_mult_bound_push": _BEGUN_FAR}
         return replace(self, extra=(*self.extra, ("mu_init", _BEGUN_FAR), *pushes.items()))
 
     def from_afar(self) -> SolverOptions:
         """Return the settings for a solve whose first point violates many inequalities.
 
-        The settings apply to solves without a warm start. By default, Ipopt chooses the barrier
-        parameter adaptively, and estimates its first value from the first point. If the first point
-        violates many inequalities, the estimate is often a thousand times too small. The bounds
-        then shorten nearly every step of Ipopt; see docs/decisions/speed.md. With these settings,
-        the barrier parameter begins at 0.1 and only decreases.
+        They apply to solves without a warm start. The barrier parameter begins at 0.1 and only
+        decreases: see docs/decisions/speed.md.
         """
+        # By default, Ipopt chooses the barrier parameter adaptively, and estimates its first value
+        # from the first point. The estimate is then often a thousand times too small, so that the
+        # bounds shorten nearly every step.
         return replace(self, cold=_FROM_AFAR)
 
     def from_a_flight(self) -> SolverOptions:
         """Return the settings for a solve whose first point resembles a possible flight.
 
-        The settings apply to solves without a warm start. By default, Ipopt chooses the barrier
-        parameter adaptively. Its first value may be near 1. The iterates then leave the first
-        point, towards flights that take two or three times as long, and return in many iterations.
-        With these settings, the barrier parameter is at most 0.01.
+        They apply to solves without a warm start. The barrier parameter is at most 0.01.
         """
+        # The first value of Ipopt's adaptive barrier parameter may be near 1. The iterates then
+        # move to flights that take two or three times as long, and need many iterations to return.
         return replace(self, cold=_FROM_A_FLIGHT)
 
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
 
-        The start is the solution on the previous mesh. Only a few elements of the new mesh are
-        different, so the start is nearly optimal. The settings choose a smaller initial barrier
-        parameter than in other warm starts, so that the iterates stay near the start. This matters
-        for controls that hardly affect the objective: with a larger parameter, they would drift
-        away from their values on the previous mesh. The settings also move the start inside its
-        bounds.
-
-        The value of the barrier parameter was tested on a flight of 1 km against the wind. The mesh
-        of the test was refined to five times as many points.
+        The start is the solution on the previous mesh. The settings move it inside its bounds. The
+        initial barrier parameter is 1e-10, instead of 1e-7 by default.
         """
+        # With a larger parameter, controls that hardly affect the objective would drift away from
+        # their values on the previous mesh. The parameter was tested on a flight of 1 km against
+        # the wind, whose mesh was refined to five times as many points.
         pushes = tuple((name, _WELL_INSIDE) for name in _PUSHES)
         return replace(self, extra=(*self.extra, ("mu_init", _LOW_BARRIER), *pushes))
 
@@ -454,11 +431,7 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    A later iterate replaces the best iterate if its constraint violation is at most a tenth of the
-    violation of the best iterate.
-
-    Ipopt cannot propagate an exception from a callback. The exception is therefore stored in
-    `error`, and raised again after Ipopt returns.
+    The first exception in a callback is stored in `error`, to be raised after Ipopt returns.
 
     Attributes
     ----------
@@ -518,16 +491,16 @@ class _Callbacks:
         }
 
     def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
-        """Evaluate a function of the program at the unknowns `z`, and catch its exceptions.
+        """Evaluate a method of the program at the unknowns `z`, and catch its exceptions.
 
-        `name` is the name of the program's method, and `more` are its further arguments. An
-        exception is stored in the attribute `error`. After the first exception, the result of every
-        evaluation is an array of NaN.
+        `name` names the method, and `more` are its further arguments. Every evaluation from the
+        first exception on returns an array of NaN.
         """
         if self.error is None:
             try:
                 return np.asarray(getattr(self.program, name)(z, *more))
             except (Exception, KeyboardInterrupt) as error:  # noqa: BLE001  raised again later
+                # Ipopt cannot propagate an exception from a callback.
                 self.error = error
         return np.full(self._sizes.get(name, z.size), np.nan)
 
@@ -583,14 +556,8 @@ class _Callbacks:
     ) -> bool:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
-        Ipopt calls this method at each iteration. The new iterate replaces the best iterate if its
-        constraint violation is at most a tenth of the violation of the best iterate.
-
-        The result is False if one of these holds:
-
-        - a callback raised an exception;
-        - the caller's callback returns False;
-        - the problem appears to be unbounded.
+        Ipopt stops after an exception in a callback, if the caller's callback returns False, or if
+        the problem appears to be unbounded.
 
         Parameters
         ----------
@@ -761,17 +728,7 @@ def _with_idle_unknowns(
 ) -> ExtendedProgram:
     """Return a program with added unknowns, so that Ipopt does not treat it as a square system.
 
-    Ipopt counts equations and free unknowns. If the numbers are equal, Ipopt ignores the objective,
-    and stops at the first point that satisfies the equations. If there are more equations than free
-    unknowns, Ipopt refuses the program.
-
-    Neither reaction is right if some equations are redundant. Many points may then satisfy the
-    equations, and the objective selects the best of them. An example of a redundant equation is an
-    end condition on a conserved quantity.
-
-    With the added unknowns, there are more free unknowns than equations. The square of each added
-    unknown is a term of the objective, and no equation contains the added unknown. Its optimal
-    value is therefore zero, and the optimal values of the original unknowns are unchanged.
+    Each added unknown occurs only as a square in the objective. The original optimum is unchanged.
 
     Parameters
     ----------
@@ -783,6 +740,10 @@ def _with_idle_unknowns(
     weight : float
         Weight of the squares of the added unknowns in the objective.
     """
+    # If a program has as many equations as free unknowns, Ipopt ignores the objective, and stops at
+    # the first point that satisfies the equations. With more equations, it refuses the program.
+    # Neither is right if some equations are redundant, such as an end condition on a conserved
+    # quantity: many points may satisfy them, and the objective selects the best.
     return ExtendedProgram(
         program=program,
         prices=np.zeros(idle),
@@ -797,9 +758,8 @@ def barrier_gap(
 ) -> float:
     """Return the complementarity gap: the sum of multiplier times slack over all inequalities.
 
-    There is one inequality for each finite bound of an unknown or constraint. Its slack is the
-    distance from the bound at the unknowns `z`. The gap is in the unit of the objective. For a
-    convex program, the objective at `z` exceeds the optimum by at most the gap.
+    The gap has the unit of the objective. For a convex program, the objective at `z` exceeds the
+    optimum by at most the gap: docs/theory/refinement.md, eq. (16).
     """
     rows, pull = program.constraints(z), multipliers.rows
     parts = (
@@ -824,11 +784,8 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    The gap is the sum of multiplier times slack over all inequalities (see `barrier_gap`). Ipopt
-    tests its convergence on the scaled objective. If the objective is steep at the initial point,
-    its scaling factor is very small. Ipopt may then stop at a gap that exceeds the objective
-    itself. The solve is therefore repeated with a larger factor, until the gap is a small fraction
-    of the objective. There are at most two repetitions.
+    `barrier_gap` returns the gap. There are at most two repetitions. Each of them scales the
+    objective by a larger factor, so that Ipopt ends at a smaller gap.
 
     Parameters
     ----------
@@ -836,7 +793,8 @@ def run_past_the_barrier(
         The nonlinear program with the bounds of its unknowns and constraints, its scaling factors,
         and the initial point.
     size : callable
-        Unknowns -> magnitude of the objective, for example `Transcription.objective_size`.
+        Unknowns -> magnitude of the objective, for example `Transcription.objective_size`. The gap
+        is compared with this magnitude.
     options : SolverOptions
     multipliers : Multipliers, optional
         Initial multipliers of a warm start.
@@ -853,6 +811,8 @@ def run_past_the_barrier(
     share = _GAP_SHARE * (options.tolerance or _TOLERANCE)
     fewer = options.at_most(_PATIENCE)
     factor = scaling.objective
+    # Ipopt tests convergence on the scaled objective. An objective that is steep at the initial
+    # point has a very small factor. Ipopt may then stop at a gap that exceeds the objective itself.
     for _ in range(_SHARPENINGS):
         if not result.is_converged:
             break

@@ -6,8 +6,7 @@ four purposes:
 - penalised slacks in the constraints (elastic programs);
 - bounds between the collocation points;
 - a quadratic cost that keeps controls near given values (damping);
-- idle unknowns, which leave the optimum unchanged. They are added to a program with as many
-  equations as unknowns, because Ipopt would ignore the objective of such a program.
+- idle unknowns, which keep Ipopt from treating a program as a square system.
 """
 
 from __future__ import annotations
@@ -232,8 +231,8 @@ class ExtendedProgram:
     """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
 
     The original program has n unknowns z, n_rows constraints c(z) and the objective f(z). The
-    extended program has n_more further unknowns s, and n_more_rows further constraints, which are
-    linear. Its unknowns are w = (z, s), z first.
+    extended program has the unknowns w = (z, s), with n_more unknowns s, and n_more_rows further
+    constraints.
 
     - Objective: ``share * f(z) + prices @ s + sum(weights / 2 * (w[columns] - near)**2)``.
     - Constraints: ``c(z)``, extended by n_more_rows zeros, plus ``terms @ w``.
@@ -350,9 +349,9 @@ class ExtendedProgram:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
 
         The nonzeros are those of the lower triangle at the unknowns `w`, in the order of
-        `hessianstructure`. `multipliers` has one value per constraint. The added linear terms do
-        not contribute to the Hessian.
+        `hessianstructure`. `multipliers` has one value per constraint.
         """
+        # The added terms of the constraints are linear, without second derivatives.
         own = multipliers[: self.program.n_rows]
         held = self.program.hessian(self.split(w)[0], own, self.share * factor)
         return np.append(held, factor * self.weights)

@@ -1,13 +1,12 @@
 """Redundant conditions: found at given unknowns, left out of a solve, and checked afterwards.
 
 A condition is a constraint at a declared time (a member of the continuous set), such as an end
-condition. A condition is redundant if it follows from the other equations. For example, if a
-quantity is conserved, an end condition on this quantity follows from the initial conditions and the
-equations over time.
+condition. It is redundant if it follows from the other equations. For example, the initial
+conditions imply an end condition on a conserved quantity.
 
-On a mesh, the redundant condition follows from the other equations only up to the discretisation
-error. A program that imposes the condition may therefore have no solution. Or the condition may
-exclude all solutions but one, and its multiplier may be unbounded.
+On a mesh, the other equations imply the redundant condition only up to the discretisation error. A
+program that imposes the condition may therefore have no solution, or only a single one with an
+unbounded multiplier.
 """
 
 from __future__ import annotations
@@ -72,9 +71,8 @@ def _candidates(
 ) -> Iterator[Candidate]:
     """Yield the equality conditions that may turn out to be redundant, in a fixed order.
 
-    A condition is a constraint at declared times (members of the continuous set), or a value fixed
-    at a declared time. A condition that fixes a single state at the start of the horizon is always
-    kept in the solve. Such conditions are not yielded.
+    A condition is a constraint or a fixed value at declared times. Initial values are not yielded:
+    these are fixed values of single states at the start of the horizon.
 
     Parameters
     ----------
@@ -111,12 +109,10 @@ def redundant_conditions(
     fixed: dict[tuple[str, float], float],
     z: FloatArray,
 ) -> tuple[Candidate, ...]:
-    """Return the conditions that are redundant, because they follow from other equations.
+    """Return the conditions (constraints or fixed values at declared times) that are redundant.
 
-    A condition is a constraint at declared times (members of the continuous set), or a value fixed
-    at a declared time. The conditions are tested one after the other. A condition counts as
-    redundant if its gradient is a linear combination of other gradients: those of the equations
-    over time, and those of the conditions tested before it.
+    A condition is redundant if its gradient is a linear combination of the gradients of the
+    equations over time and of the conditions tested before it.
 
     Parameters
     ----------
@@ -199,15 +195,15 @@ def _slopes_of(
 def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
     """Return the part of each vector that is orthogonal to the gradients of all equations.
 
-    `equations` is a sparse matrix with the gradient of one equation per row. `vectors` are the
-    gradients of conditions. If the orthogonal part of a gradient is nearly zero, the condition is
-    redundant: it follows from the equations.
+    `equations` is a sparse matrix with one gradient per row, and `vectors` are gradients of
+    conditions.
     """
     m, n = equations.shape
     system = block_array(
         [[identity(n), equations.T], [equations, -_REGULAR * identity(m)]], format="csc"
     )
     factors = splu(system)
+    # A nearly zero part means that the condition follows from the equations.
     return [factors.solve(np.concatenate([v, np.zeros(m)]))[:n] for v in vectors]
 
 

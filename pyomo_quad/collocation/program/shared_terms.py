@@ -1,18 +1,13 @@
-"""Common subexpressions of equations and derivatives, found without writing out data of tables.
+"""Merging of equal terms in equations and derivatives, without writing out data of tables.
 
-A Pyomo expression that reads another expression twice contains its terms twice. CasADi
-differentiates column after column, so that a Jacobian or Hessian contains many terms more than
-once. The function `casadi.cse` merges equal terms, and leaves every result the same to the last
-bit. For each call of an interpolation table, however, `casadi.cse` writes out the whole table,
-which takes a second for a table of a million numbers.
+CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
+than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
+last bit. It would, however, write out the whole table of each call of an interpolation table. This
+takes a second for a table of a million numbers.
 
-The module therefore proceeds in three steps. First, symbols replace the calls in the expressions.
-Equal terms are merged before the expressions are differentiated, and again in their derivatives.
-Finally, the calls replace the symbols again.
-
-The differentiation may treat the symbols as constants. Each symbol stands for a coefficient of a
-Taylor polynomial, which is a result of a call. These coefficients are defined to be constant in all
-derivatives: see `collocation.reading.local_splines`, which creates the calls.
+Symbols therefore replace the results of these calls while equal terms are merged. Differentiation
+treats the symbols as constants. This is correct, because the results are Taylor coefficients, which
+count as constants (see `collocation.reading.local_splines`).
 """
 
 from __future__ import annotations

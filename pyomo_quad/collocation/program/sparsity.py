@@ -1,9 +1,9 @@
 """Layout of the unknowns, sparsity patterns of derivatives, and assembly of their nonzeros.
 
-The derivatives of the equations at a single collocation point have the same sparsity pattern at all
-points. Each derivative is added to one or more nonzeros of the nonlinear program's sparse matrices.
-The positions of these nonzeros are computed once per mesh. The time derivatives of the states are
-no unknowns, but linear combinations of the states: see docs/theory/transcription.md, eq. (4).
+The derivatives at a single collocation point have the same sparsity pattern at all points. Each
+derivative is added to one or more nonzeros of the program's sparse matrices, whose positions are
+computed once per mesh. The time derivatives of the states are linear combinations of the states,
+not unknowns: see docs/theory/transcription.md, eq. (4).
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ Places = NDArray[np.int32]
 class Layout:
     """Positions of the variables among the unknowns of the nonlinear program on one mesh.
 
-    The states at the start of the horizon come first. Then follow, for each collocation point, the
-    algebraic variables and the states. Static variables (without time) come last. A position is
-    called a column, as in the Jacobian.
+    The order is: states at the start of the horizon; algebraic variables and states of each
+    collocation point; static variables (without time). A position is called a column, as in the
+    Jacobian.
 
     Attributes
     ----------
@@ -87,8 +87,8 @@ class Layout:
     def state_column(self, name: str, fraction: float) -> int:
         """Return the position, among the unknowns, of a state at the node nearest to a given time.
 
-        `name` is the name of the state, and `fraction` the time as a fraction of the horizon. The
-        result is -1 if no state has the name, or the model has no time.
+        `fraction` is the time as a fraction of the horizon. The result is -1 if the model has no
+        time, or no state called `name`.
         """
         states = [slot.name for slot in self.declared.states]
         if self.mesh is None or name not in states:
@@ -125,9 +125,8 @@ class Layout:
     def slope_matrix(self) -> csr_matrix:
         """Differentiation matrix from a state at the nodes to its rate at the collocation points.
 
-        The rate of a state is its derivative with respect to the fraction of the horizon. The nodes
-        are the start of the horizon and the collocation points. The matrix is sparse and has the
-        shape (n_points, n_points + 1).
+        Rates are derivatives with respect to the fraction of the horizon. The shape is (n_points,
+        n_points + 1). The first node is the start of the horizon.
         """
         if self.mesh is None:
             return csr_matrix((0, 1))
@@ -145,12 +144,10 @@ class Layout:
 
     @cached_property
     def path_variables(self) -> csr_matrix:
-        """Matrix that maps the unknowns to the variables of all collocation points.
+        """Matrix that maps the unknowns to the variables of all collocation points, point by point.
 
-        The variables of a point are rates, states, algebraic variables and static variables, in
-        this order. Rates are derivatives of the states with respect to the fraction of the horizon.
-        Static variables do not depend on time. The shape is (n_points * n_variables, n_unknowns):
-        the rows of the first point come first, then the rows of the second point, and so on.
+        The variables of a point are rates (per fraction of the horizon), states, algebraic and
+        static variables. The shape is (n_points * n_variables, n_unknowns).
         """
         slopes, n = self.slope_matrix, self.n_states
         rates = kron(slopes, np.eye(n)) @ _chosen(self.state_columns.ravel(), self.unknowns)
@@ -167,27 +164,27 @@ class Layout:
 
     @cached_property
     def condition_variables(self) -> csr_matrix:
-        """Matrix that maps the unknowns to values at declared times and to the static variables.
+        """Matrix that maps the unknowns to all variables of conditions and objective.
 
-        Declared times are members of the continuous set. The values are those that appear in the
-        objective or in conditions (constraints at declared times). Static variables do not depend
-        on time. The matrix has one row per value or static variable, and one column per unknown.
+        The first rows are those of `point_values`. Then follows one row per static variable
+        (variable without time). There is one column per unknown.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix that maps the unknowns to values at declared times in conditions and objective.
+        """Matrix from the unknowns to the values at declared times that the model refers to.
 
-        Declared times are members of the continuous set. Conditions are constraints at these times.
-        The matrix has one row per value, and one column per unknown. If a declared time lies
-        between nodes, the value is interpolated: its row has one weight per node of the element.
+        Conditions (constraints at declared times) and the objective contain these values. Declared
+        times are the members of the continuous set. There is one row per value, and one column per
+        unknown.
         """
         rows: list[int] = []
         columns: list[int] = []
         weights: list[float] = []
         for row, symbol in enumerate(self.declared.point_symbols):
+            # Between nodes, the value is interpolated, with one weight per node of the element.
             found, factor = self._at_point(symbol)
             rows.extend([row] * len(found))
             columns.extend(found)
@@ -196,11 +193,10 @@ class Layout:
         return csr_matrix((weights, (rows, columns)), shape=shape)
 
     def _at_point(self, symbol: PointSymbol) -> tuple[IndexArray, FloatArray]:
-        """Return the positions and weights of the unknowns that give a value at a declared time.
+        """Return positions and weights of the unknowns that give a value at a declared time.
 
-        The value is the sum of the weights times the unknowns at these positions. `symbol`
-        identifies the variable, or its derivative, and the declared time (a member of the
-        continuous set).
+        The value is the weighted sum of these unknowns. `symbol` identifies the variable, or its
+        derivative, and the declared time.
         """
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
@@ -246,8 +242,7 @@ class Contributions:
     """Collector of contributions to the entries of a sparse matrix.
 
     A source is a number that a CasADi function returns at each evaluation. A contribution adds a
-    weight times a source to the entry at (row, column) of the matrix. The method `scatter` turns
-    the collected contributions into a linear map from all sources to the nonzeros of the matrix.
+    weight times a source to the entry at (row, column) of the matrix.
     """
 
     def __init__(self) -> None:
@@ -384,15 +379,11 @@ class Scatter:
 
 @dataclass(frozen=True, kw_only=True)
 class JacobianScatter:
-    """Assembly of the constraints' Jacobian and the objective's gradient from point derivatives.
+    """Assembly of the constraints' Jacobian and objective's gradient from derivatives at points.
 
-    The inputs of the assembly are called sources. A source is a number that a CasADi function
-    returns at each evaluation, such as the derivative of a path equation at a collocation point.
-    The sources are in a fixed order: first the derivatives of path equations and integrands, then
-    the derivatives of conditions (constraints at declared times) and objective.
-
-    A direct integral is an integral that appears in the objective itself. Other integrals are
-    represented there by a static variable (variable without time).
+    The inputs of the linear maps are called sources; `jacobian_scatter` gives their order. A direct
+    integral appears in the objective itself. For any other integral, a constraint makes a static
+    variable (a variable without time) equal to the integral.
 
     Attributes
     ----------
@@ -404,9 +395,8 @@ class JacobianScatter:
     integrals : tuple of Scatter
         For each direct integral: linear map from the sources to the gradient of the integral.
     slope_sources : ndarray of int
-        Positions of the derivatives of the objective with respect to direct integrals. Derivatives
-        that are always zero are omitted. The positions are counted from the first source of
-        conditions and objective.
+        Positions of the derivatives of the objective with respect to direct integrals, in the
+        argument of `objective_slopes`. Derivatives that are always zero have no position.
     slope_integrals : ndarray of int
         For each derivative in `slope_sources`, the position of its integral among the direct
         integrals.
@@ -428,11 +418,10 @@ class JacobianScatter:
     unknowns: int
 
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
-        """Return derivatives of the objective with respect to integrals that enter it directly.
+        """Return the objective's derivative with respect to each direct integral.
 
-        Other integrals are represented in the objective by a static variable (variable without
-        time). `point_sources` are the values that CasADi returned for the derivatives of conditions
-        (constraints at declared times) and objective. The result has the shape (n_integrals,).
+        `point_sources` are the derivatives of conditions (constraints at declared times) and
+        objective, as CasADi returned them. The result has the shape (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
@@ -461,14 +450,12 @@ class JacobianScatter:
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
     """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
-    `compiled` has the functions that give these derivatives, and `layout` the positions of the
-    unknowns. The inputs of the maps are called sources. They are, in this order:
+    The inputs of the maps are called sources. They are, in this order:
 
     - the nonzeros of the Jacobian of path equations and integrands, point by point;
     - the nonzeros of the Jacobian of conditions (constraints at declared times) and objective;
-    - the number 1. It is the derivative of the constraint ``variable - integral = 0`` with respect
-      to the variable. Such a constraint makes a static variable (variable without time) equal to an
-      integral.
+    - the number 1: the derivative, with respect to the static variable (without time), of a
+      constraint ``variable - integral = 0``.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -517,11 +504,9 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 
 
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
-    """Return the linear map that assembles the Lagrangian's Hessian from derivatives at points.
+    """Return the linear map to the lower triangle of the Lagrangian's Hessian.
 
-    `compiled` has the functions that give these derivatives, and `layout` the positions of the
-    unknowns. The map gives the nonzeros of the lower triangle. Its inputs are called sources. They
-    are, in this order:
+    The inputs of the map are called sources. They are, in this order:
 
     - the nonzeros of the Hessians of path equations and integrands, point by point;
     - the nonzeros of the Hessian of conditions (constraints at declared times) and objective.

@@ -1,9 +1,9 @@
 """Nonlinear program of a compiled model on one mesh, and names of its constraints and unknowns.
 
 The unknowns are the states at the nodes, the algebraic variables at the collocation points, and the
-static variables (variables without time). The time derivatives of the states are no unknowns, but
-linear combinations of the states at the nodes: see docs/theory/transcription.md, eq. (4). Integrals
-over the horizon are weighted sums over the collocation points (Radau quadrature), eq. (5).
+static variables (without time). The time derivatives of the states are linear combinations of the
+states at the nodes: see docs/theory/transcription.md, eq. (4). Integrals over the horizon are
+weighted sums over the collocation points (Radau quadrature), eq. (5).
 """
 
 from __future__ import annotations
@@ -79,9 +79,8 @@ def _at_point(program: Transcription, name: str, point: int) -> Place:
 def row_place(program: Transcription, row: int) -> Place:
     """Return name, time, element and collocation point of the constraint with the index `row`.
 
-    `program` is the nonlinear program to which the constraint belongs. Time, element and point are
-    known for path equations, which are imposed at each collocation point. They are None for all
-    other constraints.
+    Time, element and point are None for all constraints but path equations, which are imposed at
+    each collocation point.
     """
     compiled = program.compiled
     declared = compiled.declared
@@ -97,8 +96,8 @@ def row_place(program: Transcription, row: int) -> Place:
 def unknown_place(program: Transcription, column: int) -> Place:
     """Return name, time, element and collocation point of the unknown with the index `column`.
 
-    `program` is the nonlinear program to which the unknown belongs. Element and point are None for
-    a state at the start of the horizon; for a variable without time, the time is None too.
+    Element and point are None for a state at the start of the horizon. A variable without time has
+    only a name.
     """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
@@ -152,9 +151,6 @@ class Transcription:
     - conditions (constraints at declared times, the members of the continuous set);
     - constraints that make static variables (variables without time) equal to integrals.
 
-    The method `with_data` returns a program for other parameter values. This program shares all
-    parts that do not depend on the parameter values, such as sparsity patterns.
-
     Parameters
     ----------
     compiled : CompiledModel
@@ -185,7 +181,10 @@ class Transcription:
         return type(self), (self.compiled, self.mesh, self.data)
 
     def with_data(self, data: Data) -> Transcription:
-        """Return a separate program on the same mesh with the parameter values `data`."""
+        """Return a separate program on the same mesh with the parameter values `data`.
+
+        It shares all parts that do not depend on the parameter values, such as sparsity patterns.
+        """
         # Not `copy.copy`, which rebuilds all parts as unpickling does.
         other = object.__new__(type(self))
         vars(other).update(vars(self))
@@ -273,12 +272,10 @@ class Transcription:
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
 
     def path_variables(self, z: FloatArray) -> FloatArray:
-        """Return the variables at the collocation points, one row per point.
+        """Return the variables at the collocation points for the unknowns `z`, one row per point.
 
-        The columns are the rates, the states, the algebraic variables and the static variables.
-        Rates are the derivatives of the states with respect to the fraction of the horizon. Static
-        variables have no time, so that all rows repeat their values. `z` are the unknowns of the
-        program.
+        The columns are rates, states, algebraic and static variables. Rates are derivatives of the
+        states with respect to the fraction of the horizon.
         """
         layout = self.layout
         states = z[layout.state_columns]
@@ -288,11 +285,10 @@ class Transcription:
         )
 
     def rows_at_points(self, z: FloatArray) -> FloatArray:
-        """Return the values of path equations and integrands at the collocation points.
+        """Return path equations, then integrands, at the collocation points for the unknowns `z`.
 
-        The shape is (n_points, n_equations + n_integrals). The columns are the path equations, then
-        the integrands of all integrals. `z` are the unknowns of the program. The values at the most
-        recent unknowns are cached.
+        The shape is (n_points, n_equations + n_integrals). The values at the most recent unknowns
+        are cached.
         """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:
@@ -313,14 +309,9 @@ class Transcription:
     def objective_density(self, z: FloatArray) -> FloatArray:
         """Return the running cost of the objective at the collocation points, shape (n_points,).
 
-        The running cost is the sum of c times g over the integrals that enter the objective
-        directly. Here g is the integrand, and c is the derivative of the objective with respect to
-        the integral. If the objective is maximised, the sum is multiplied by -1. The running cost
-        is a density over the fraction of the horizon, which goes from 0 to 1.
-
-        Other integrals are represented in the objective by a static variable (a variable without
-        time), for example if they enter nonlinearly. Their integrands are not part of the sum. `z`
-        are the unknowns of the program.
+        The running cost is a density over the fraction of the horizon: the sum of c times g over
+        the integrals in the objective itself. Here g is the integrand, and c is the derivative of
+        the objective to minimise with respect to the integral.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -329,21 +320,18 @@ class Transcription:
     def objective_size(self, z: FloatArray) -> float:
         """Return the magnitude of the objective, as a reference for its relative errors.
 
-        The magnitude is the larger of two numbers at the unknowns `z`:
-
-        - the absolute value of the objective;
-        - the integral of the absolute value of the running cost (see `objective_density`). Positive
-          and negative parts of the running cost do not cancel in it.
+        The magnitude is the larger of the objective's absolute value and the integral of the
+        absolute value of the running cost (see `objective_density`).
         """
+        # Positive and negative parts of the running cost do not cancel here.
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
         return max(abs(self.objective(z)), parts)
 
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
-        """Return the derivative of the objective with respect to each integral that occurs in it.
+        """Return the derivatives of the objective with respect to its direct integrals.
 
-        Some integrals are represented in the objective by a static variable (a variable without
-        time); they are left out. The derivatives are evaluated at the unknowns `z`. The objective
-        is that of the Pyomo model, not negated if it is maximised.
+        A direct integral appears in the objective itself. The objective is that of the Pyomo model,
+        not negated if it is maximised.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
@@ -357,12 +345,10 @@ class Transcription:
         return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
 
     def point_variables(self, z: FloatArray) -> FloatArray:
-        """Return the variables of conditions and objective as an array with one row.
+        """Return the variables of conditions and objective for the unknowns `z`, as one row.
 
-        A condition is a constraint at declared times (members of the continuous set). The variables
-        are values at declared times, static variables (variables without time), and integrals.
-        Integrals that a static variable represents are left out. `z` are the unknowns of the
-        program.
+        They are values at declared times, static variables (without time), and those integrals that
+        no static variable represents.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -381,12 +367,9 @@ class Transcription:
         return self._sign * self.user_objective(z)
 
     def constraints(self, z: FloatArray) -> FloatArray:
-        """Return the values of all constraints of the program at the unknowns `z`.
+        """Return the values of all constraints at the unknowns `z`, shape (n_rows,).
 
-        The result is a vector with one value per constraint, in three parts. First come the path
-        equations, collocation point by collocation point. Then come the conditions, which are
-        constraints at declared times (members of the continuous set). Last come the constraints
-        that make a static variable (a variable without time) equal to an integral.
+        The docstring of the class gives their order.
         """
         n = self.compiled.n_equations
         conditions = self._point[0](self.point_variables(z), self._point_data)[0][0, :-1]
@@ -400,14 +383,7 @@ class Transcription:
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
         """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`.
 
-        The result is one array with three parts, evaluated at the unknowns `z`. First come the
-        nonzeros of the Jacobian of path equations and integrands, point by point. Then come the
-        nonzeros of the Jacobian of conditions (constraints at declared times) and objective. The
-        last entry is the number 1. It is the derivative of the constraint
-        ``variable - integral = 0`` with respect to the variable. Such a constraint makes a static
-        variable (a variable without time) equal to an integral.
-
-        The function `jacobian_scatter` returns the linear maps from this array to gradient and
+        `jacobian_scatter` gives their order, and the linear maps from this array to gradient and
         Jacobian.
         """
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
@@ -446,10 +422,8 @@ class Transcription:
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
 
-        The Hessian is taken with respect to the unknowns, at their values `z`. `factor` multiplies
-        the objective to minimise, and `multipliers` has one value per constraint. Only nonzeros of
-        the lower triangle are returned. Their order is that of the indices from the method
-        `hessianstructure`.
+        They are those of the lower triangle at the unknowns `z`, in the order of
+        `hessianstructure`. `factor` multiplies the objective to minimise.
         """
         factor = self._sign * factor
         path = np.zeros(0)
@@ -496,10 +470,10 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        - If the integral enters the objective directly, its weight is `factor` times the derivative
-          of the Pyomo model's objective with respect to the integral.
-        - Otherwise a static variable (a variable without time) stands for the integral. The weight
-          is then minus the multiplier of the constraint ``variable - integral = 0``.
+        - For an integral that enters the objective directly: `factor` times the derivative of the
+          Pyomo model's objective with respect to the integral.
+        - For any other integral: minus the multiplier of the constraint ``variable - integral =
+          0``, which defines its static variable (a variable without time).
 
         Parameters
         ----------
@@ -519,15 +493,10 @@ class Transcription:
         return weights
 
     def path_curvatures(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the second derivatives of the Lagrangian with respect to each variable of a point.
+        """Return the diagonals of the Hessians from `path_hessians`, shape (n_points, n_variables).
 
-        The result has the shape (n_points, n_variables). Entry (i, j) is the second derivative with
-        respect to variable j at collocation point i, divided by the quadrature weight of the point.
-        The variables are rates, states, algebraic and static variables, in this order. Rates are
-        the derivatives of the states with respect to the fraction of the horizon.
-
-        `z` are the unknowns, and `multipliers` the multipliers of all constraints of the program.
-        The entries are the diagonals of the Hessians that the method `path_hessians` returns.
+        Entry (i, j) is the second derivative of the Lagrangian with respect to variable j at
+        collocation point i, divided by the quadrature weight of the point.
         """
         path = self.compiled.path
         held = self._path_hessian(z, multipliers)
@@ -539,9 +508,8 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Hessians of the Lagrangian with respect to the variables of each point.
 
-        There is one Hessian per collocation point. Only the terms of the Lagrangian from the path
-        equations and integrands at this point count. The Hessian is divided by the quadrature
-        weight of the point.
+        Each Hessian contains the terms from the path equations and integrands at its collocation
+        point, and is divided by the quadrature weight of the point.
 
         Parameters
         ----------
@@ -565,12 +533,9 @@ class Transcription:
         return hessians
 
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Return the nonzeros of the Lagrangian's Hessian at each point.
+        """Return the nonzeros of the Hessians from `path_hessians`, shape (n_points, n_nonzeros).
 
-        The result has the shape (n_points, n_nonzeros). The Hessian at a collocation point is taken
-        with respect to the variables of this point. The result has the nonzeros of its lower
-        triangle, divided by the quadrature weight of the point. `z` are the unknowns, and
-        `multipliers` the multipliers of all constraints of the program.
+        They are those of the lower triangle.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
@@ -612,10 +577,8 @@ class Transcription:
     def lagrangian_density(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the integrands' contribution to the Lagrangian at the points, shape (n_points,).
 
-        The contribution at a collocation point is a weighted sum of all integrands. The weights are
-        the result of the method `integral_weights`. The contribution is a density over the fraction
-        of the horizon. `z` are the unknowns, and `multipliers` the multipliers of all constraints
-        of the program.
+        The contribution is the sum of all integrands times their `integral_weights`. It is a
+        density over the fraction of the horizon.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return np.asarray(densities @ self.integral_weights(z, multipliers))

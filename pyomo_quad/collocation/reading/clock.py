@@ -1,9 +1,9 @@
 """Declared times of a horizon, the free times among them, and the phases between free times.
 
-A declared time is a member of the model's continuous set. The model can state conditions at
-declared times. Usually a declared time is itself the physical time. It is free if a static variable
-(a variable without time) gives its physical time instead. The solve then determines the physical
-time. The free times inside the horizon divide it into phases.
+A declared time is a member of the model's continuous set, at which the model can state conditions.
+Usually, its value is the physical time. A declared time is free if the solve determines its
+physical time, as the value of a static variable (a variable without time). The free times inside
+the horizon divide it into phases.
 
 The fraction of the horizon is 0 at the first and 1 at the last declared time. Within a phase,
 physical time is a linear function of this fraction.
@@ -45,9 +45,7 @@ LEAST_PHASE = 1e-6
 class PhaseTimes:
     """Phases of a horizon: the declared times that bound them, and physical time in CasADi symbols.
 
-    A declared time is a member of the continuous set. It is free if a static variable (a variable
-    without time) gives its physical time. The free times inside the horizon divide the horizon into
-    phases.
+    The module's docstring defines declared times, free times and phases.
 
     Attributes
     ----------
@@ -78,12 +76,7 @@ class PhaseTimes:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Declared times that bound the phases, as fractions of the declared horizon.
-
-        A declared time is a member of the continuous set. The declared horizon extends from the
-        first to the last member. The free times (times that the solve determines) inside the
-        horizon divide it into phases.
-        """
+        """Declared times that bound the phases, as fractions of the declared horizon."""
         return tuple(self.fraction_of(time) for time in self.declared)
 
     def fraction_of(self, time: float) -> float:
@@ -106,12 +99,9 @@ class PhaseTimes:
 
     @property
     def _phase_factors(self) -> tuple[Any, ...]:
-        """One factor per phase: 1 at times of the phase and 0 elsewhere.
+        """One factor per phase: a CasADi symbol, 1 at times of the phase and 0 elsewhere.
 
-        The free times (times that the solve determines) divide the horizon into phases. A factor is
-        a CasADi symbol. If there is only one phase, its factor is the number 1. The factors combine
-        the expressions of all phases into one: each expression is multiplied by the factor of its
-        phase, and the products are summed.
+        A single phase has the number 1 as its factor.
         """
         return self.phases or (1.0,)
 
@@ -119,10 +109,8 @@ class PhaseTimes:
     def span(self) -> Any:
         """Derivative of physical time with respect to the fraction of the horizon.
 
-        The derivative is a CasADi expression that contains the free times (times that the solve
-        determines). The free times divide the horizon into phases. If there are several phases, the
-        expression also contains one symbol per phase, which is 1 at times of the phase and 0
-        elsewhere. The expression therefore holds at all times.
+        The result is a single CasADi expression for all phases. It contains the free times, and the
+        symbols that tell which phase a time belongs to.
         """
         return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 
@@ -142,18 +130,15 @@ class PhaseTimes:
     def span_at(self, time: float) -> Any:
         """Return d (physical time) / d (fraction of the horizon) just before a declared time.
 
-        `time` is the declared time, a member of the continuous set. The derivative may jump there
-        if the physical time of `time` is free (determined by the solve). The result is a CasADi
-        expression of the free times and of parameters.
+        The derivative may jump at a free time. The result is a CasADi expression of the free times
+        and of parameters.
         """
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
         """Return the physical time that corresponds to a declared time, as a CasADi expression.
 
-        `time` is the declared time, a member of the continuous set. A declared time is free if the
-        solve determines its physical time. The physical time may then differ from `time`. The
-        expression contains parameters, and the variables that stand for free times.
+        The expression contains parameters, and the static variables that give free times.
         """
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
@@ -161,26 +146,23 @@ class PhaseTimes:
     def phase_of(self, time: float) -> int:
         """Return the index of the phase that contains a time in the range of the continuous set.
 
-        The free times (times that the solve determines) divide the horizon into phases, which are
-        counted from 0. A time between two phases belongs to the phase that ends there.
+        The first phase has the index 0. A time between two phases belongs to the phase that ends
+        there.
         """
         return bisect_left(self.declared[1:-1], time)
 
     def label(self, position: int) -> str:
         """Return a declared time as text for messages, such as ``t[2.5]``.
 
-        A declared time is a member of the continuous set. The text consists of the name of the set
-        and the time in brackets. `position` is the index of the time in the attribute `declared`.
+        `position` is the index of the time in the attribute `declared`.
         """
         return f"{self.name}[{self.declared[position]:g}]"
 
     def orders(self) -> list[tuple[str, Any]]:
         """Return constraints that give every phase of the horizon a positive duration.
 
-        The free times (times that the solve determines) divide the horizon into phases. There is
-        one constraint per phase: a pair of its name and a CasADi expression that must not be
-        negative. The expression is the physical duration of the phase minus 1e-6 times the duration
-        of the horizon. The list is empty for a single phase.
+        Each item is a name and a CasADi expression that must not be negative: the physical duration
+        of the phase minus 1e-6 times that of the horizon.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
@@ -201,8 +183,7 @@ def free_times(
 ) -> dict[str, dict[float, Any]]:
     """Collect the static variables that give the physical times of free declared times.
 
-    A declared time is a member of a continuous set. A free declared time has a physical time that
-    the solve determines. A static variable (a variable without time) holds this physical time.
+    The module's docstring defines declared and free times.
 
     Parameters
     ----------

@@ -81,16 +81,11 @@ class WorkingCopy:
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
-        """Return whether a constraint belongs to this working copy.
+        """Return whether a constraint belongs to this working copy (a horizon, or the coupling).
 
-        A working copy represents one horizon of the model, or the coupling of several horizons. If
-        the model has at most one horizon, every constraint belongs to the only working copy.
-        Otherwise, each horizon has its own continuous set:
-
-        - A constraint that is indexed by the continuous set of a horizon belongs to this horizon.
-        - A constraint without time belongs to a horizon if it contains variables or parameters over
-          time, and all of these belong to this horizon.
-        - All remaining constraints belong to the coupling.
+        A constraint over time belongs to the horizon of its continuous set. A constraint without
+        time belongs to a horizon if all its time-dependent variables and parameters do. If they
+        belong to several horizons, or if it has none, it belongs to the coupling.
 
         Parameters
         ----------
@@ -98,6 +93,7 @@ class WorkingCopy:
         data : ConstraintData
             Member of the constraint.
         """
+        # With at most one horizon, every constraint belongs to the only working copy.
         if not self.others:
             return True
         if self.time is not None and is_over(component, self.time):
@@ -130,8 +126,7 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    If there is only one set, it is returned even if it is unused. If there are several, unused sets
-    are left out. Two kinds of sets are unused:
+    If there are several, unused sets are left out:
 
     - a set that indexes no variable;
     - a set in a deactivated block, if no active constraint or objective contains a variable that
@@ -213,16 +208,13 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete components that are indexed by time and have no member at the template time.
+    """Delete components over the set `time` that have no member at the template time.
 
-    The template time is an interior time that is added to a continuous set, to read the equations
-    over time there. For some types of components, such as blocks, Pyomo cannot make a member at an
-    added time. The components of these types are deleted from `copy`, the clone of the user's
-    model. `time` is the continuous set that indexes them.
-
-    The deletion does not change the nonlinear program, because the deleted components contribute
-    nothing to it. Models with active blocks or objectives indexed by time have been refused before.
+    `copy` is the clone of the user's model. For some types of components, such as blocks, Pyomo
+    cannot make a member at an added time.
     """
+    # The nonlinear program does not change: active blocks and objectives over time have been
+    # refused before, and the other components contribute nothing.
     for component in list(copy.component_objects(descend_into=True)):
         is_unknown = isinstance(component, IndexedComponent) and component.ctype not in _EXPANDED
         if is_unknown and is_over(component, time):
@@ -230,13 +222,11 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 
 
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
-    """Raise an error for piecewise functions that use integer variables or depend on time.
+    """Raise an error for piecewise functions that use integer variables or are indexed by time.
 
-    A piecewise function depends on time if time is one of its indices. All other piecewise
-    functions consist of linear constraints, and are accepted.
-
-    `model` is the user's model, and `times` are its continuous sets.
+    `times` are the continuous sets of the model. Other piecewise functions are accepted.
     """
+    # All other piecewise functions consist of linear constraints.
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
             any(is_over(block, time) for time in times)
@@ -252,14 +242,8 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for declarations that cannot be transcribed to a nonlinear program.
 
-    These declarations are:
-
-    - components of unknown types;
-    - integer variables;
-    - blocks and objectives indexed by time;
-    - derivatives of higher order.
-
-    `model` is the user's model, and `times` are its continuous sets.
+    They are components of unknown types, integer variables, blocks and objectives indexed by one of
+    the continuous sets `times`, and derivatives of higher order.
     """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)
@@ -287,14 +271,9 @@ def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
 
 
 def _keep_parameters(copy: Any, time: Any) -> None:
-    """Make the immutable parameters that are indexed by time mutable.
-
-    In a Pyomo expression, an immutable parameter appears as its number, but a mutable parameter
-    appears as a symbol. The symbol can be translated to a function of time; a number cannot.
-
-    `copy` is the clone of the user's model that is changed, and `time` the continuous set by which
-    the parameters are indexed.
-    """
+    """Make the immutable parameters of `copy` that are indexed by the set `time` mutable."""
+    # In a Pyomo expression, an immutable parameter appears as its number, but a mutable one as a
+    # symbol. The symbol can be translated to a function of time.
     for parameter in copy.component_objects(Param, descend_into=True):
         if parameter.mutable or not is_over(parameter, time):
             continue
@@ -308,8 +287,8 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     """Clone a model and add one interior time, the template time, to each of its continuous sets.
 
-    The equations over time are read at the template time: the members of the constraints at this
-    time serve as templates for all times. `model` is the user's model; it is not changed.
+    The members of constraints at the template time serve as templates for all times. The given
+    model is not changed.
 
     Returns
     -------
@@ -365,9 +344,7 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     """Make the members of all components at the template times, by calling their rules.
 
-    A template time is the interior time added to a continuous set, at which equations are read.
-    `copy` is the clone of the user's model, and `copies` has its working copies, one per horizon,
-    which hold the template times.
+    `copy` is the clone of the user's model, and `copies` has its working copies, one per horizon.
 
     Raises
     ------

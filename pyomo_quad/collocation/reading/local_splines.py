@@ -1,30 +1,14 @@
 """Tensor-product B-splines in CasADi whose evaluation cost does not depend on the grid's size.
 
-In each cell of its grid a spline is a polynomial. One call of a CasADi function finds the
-coefficients of this polynomial, and returns its value, gradient and Hessian. The coefficients come
-from a table, which is computed once for all cells.
+In each cell of its grid, a spline of x, y, ... is the sum of the terms
 
-For a spline with several axes, the table of polynomial coefficients may become too large. Along
-some of the axes, the table then holds B-spline coefficients instead. Each of these axes has a
-further table with its B-spline basis functions, as polynomials in each cell. The call evaluates the
-degree + 1 basis functions that are not zero in the cell. It multiplies each of them by its B-spline
-coefficient.
+    c[i, j, ...] * f_i(x) * g_j(y) * ... ,
 
-A number is looked up in a table by the evaluation of a CasADi B-spline of degree zero. This
-evaluation neither copies nor searches the table.
-
-The call is made at a rounded point near the arguments. The step of the rounding is 2**-38 (4e-12)
-of the smallest cell width. The rounded point counts as a constant, so that CasADi never
-differentiates the call. The CasADi expression of the spline is the Taylor polynomial of degree two
-about the rounded point.
-
-Value and slope of the Taylor polynomial are exact to rounding errors. Its second derivatives are
-those of the spline at the rounded point. Their error is about 4e-12 of the change of the spline's
-second derivatives in a cell.
-
-CasADi's own cubic B-splines are slower, because CasADi differentiates each entry of gradient and
-Hessian separately. For a spline with four axes, CasADi's Hessian took 80 microseconds, and the
-Hessian of this module takes 11 microseconds. With two axes, it takes 1.5 microseconds.
+where each index runs from 0 to the degree. The factors along an axis are powers of the local
+coordinate, or B-spline basis functions. One call of a CasADi function looks up the coefficients c
+of a cell, and returns value, gradient and Hessian at a rounded point near the arguments. The
+expression of the spline is the Taylor polynomial of degree two about this point: see
+docs/theory/transcription.md, "Interpolation tables".
 """
 
 from __future__ import annotations
@@ -61,9 +45,8 @@ CALLED = "local"
 class LocalSpline:
     """Tensor-product B-spline in a form whose evaluation cost does not depend on the grid's size.
 
-    The spline is linear in the first and last interval of each axis. The arguments are rounded to a
-    nearby point, at which a CasADi function returns value, gradient and Hessian. From these, a
-    Taylor polynomial of degree two gives the value at the arguments themselves.
+    The spline is linear in the first and last interval of each axis. The module's docstring
+    describes the evaluation.
 
     Attributes
     ----------
@@ -218,20 +201,17 @@ _Parts = dict[tuple[int, ...], Any]
 
 
 def _weights(count: int, cells: int, degree: int) -> Any:
-    """Return a CasADi function for the factors of the terms of a spline in a grid cell.
+    """Return a CasADi function for the factors of a spline in a grid cell, with their derivatives.
 
-    In a grid cell, a spline of x, y, ... is the sum of the terms
-    ``c[i, j, ...] * f_i(x) * g_j(y) * ...``, with coefficients c. Each index runs from 0 to the
-    degree. The factors along an axis, such as f_i, are either the powers of the local coordinate in
-    the cell or the B-spline basis functions. The CasADi function returns the factors, and their
-    derivatives for the derivatives of the spline.
+    The module's docstring defines the factors.
 
     Parameters
     ----------
     count : int
         Number of axes of the spline.
     cells : int
-        Number of leading axes with powers as factors. The other axes have B-spline basis functions.
+        Number of axes, counted from the first, whose factors are powers. The factors of the other
+        axes are B-spline basis functions.
     degree : int
         Degree of the spline along every axis.
 
@@ -263,10 +243,8 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
     """Sum the terms of a spline's value and derivatives along some axes.
 
-    In a grid cell, a spline of x, y, ... is the sum of the terms
-    ``c[i, j, ...] * f_i(x) * g_j(y) * ...``, with coefficients c. In a derivative of the spline,
-    derivatives of the factors f_i, g_j, ... take their place. This function multiplies by the
-    factors of the given axes, and sums over the indices of these axes.
+    The module's docstring gives the terms of the value. For a derivative along an axis, the
+    derivative of the factor of this axis replaces the factor.
 
     Parameters
     ----------
@@ -291,6 +269,7 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
         the orders of the derivative along `axes`, then the orders along the axes summed earlier.
         The sum of the orders in a key is at most 2.
     """
+    # Multiply by the factors of an axis, and sum over its index.
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
         parts = {
@@ -309,13 +288,8 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
     """Return a CasADi function that completes the sums for value, gradient and Hessian.
 
-    In a grid cell, a spline of x, y, ... is the sum of the terms
-    ``c[i, j, ...] * f_i(x) * g_j(y) * ...``, with coefficients c. In a derivative of the spline,
-    derivatives of the factors f_i, g_j, ... take their place.
-
-    The sums are computed in two steps. First, the function `_contracted` sums over all axes except
-    the first two. Then the CasADi function returned here sums over the first two axes (or over the
-    only axis). It adds number by number, which is faster for few numbers than products of matrices.
+    The function `_contracted` first sums over all axes except the first two. The returned function
+    sums over the first two axes (or over the only axis).
 
     Parameters
     ----------
@@ -341,6 +315,7 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
     numbers = casadi.SX.sym("parts", size * len(given))
     weights = [casadi.SX.sym(f"weights_{k}", order, _VALUE_SLOPE_BEND) for k in range(left)]
     each = casadi.vertsplit(numbers, size)
+    # Few numbers are summed number by number, which is faster than products of matrices.
     parts = _contracted(dict(zip(given, each, strict=True)), weights, range(left))
     chosen = [(), *((axis,) for axis in range(count)), *_pairs(count)]
     jet = [parts[tuple(orders.count(axis) for axis in range(count))] for orders in chosen]
@@ -348,12 +323,10 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
 
 
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
-    """Return the powers of a coordinate relative to its cell, with first and second derivatives.
+    """Return the powers of ``(at - anchor) * per_width``, with two derivatives by `at`.
 
-    The relative coordinate is ``(at - anchor) * per_width``. `anchor` is the origin of the cell,
-    and `per_width` the reciprocal of its width. The result is a CasADi matrix with one row for each
-    power from 0 to `degree`. The columns are the power, and its first and second derivative with
-    respect to `at`.
+    `anchor` is the origin of the cell, and `per_width` the reciprocal of its width. The CasADi
+    matrix has one row per power from 0 to `degree`.
     """
     share = (at - anchor) * per_width
     powers = [casadi.SX(1), *(share**k for k in range(1, degree + 1))]
@@ -416,10 +389,8 @@ class _Pieces:
     def of(cls, knots: FloatArray, degree: int) -> Self:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
-        `knots` are the knots along one axis in rising order, and `degree` is the degree of the
-        basis functions. The first and the last cell serve for linear extrapolation. In these cells,
-        each basis function is replaced by a straight line: its tangent at the boundary to the
-        neighbouring cell.
+        The first and the last cell serve for linear extrapolation. There, each basis function is
+        its tangent at the boundary to the neighbouring cell.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 

@@ -61,12 +61,10 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return the equations over time, and the conditions.
+        """Return the equations over time, and the conditions (constraints at declared times).
 
-        An equation over time is a constraint that holds at all times, an equality or an inequality.
-        A condition is a constraint at a declared time (a member of the continuous set). The bounds
-        of time derivatives are among the equations over time, as inequalities at the end of the
-        list.
+        The equations are equalities and inequalities at all times, with the bounds of time
+        derivatives at the end.
         """
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
@@ -106,10 +104,8 @@ class RelationReader:
     ) -> None:
         """Read the members of a constraint that differ in time only.
 
-        - If the constraint holds between the declared times (members of the continuous set), the
-          members become one equation over time. A member at a declared time that the equation does
-          not cover also becomes a condition, a constraint at a single time.
-        - Otherwise, each member becomes a condition.
+        They become one equation over time if the constraint holds between the declared times.
+        Members that no equation covers become conditions, constraints at a declared time.
 
         Parameters
         ----------
@@ -138,10 +134,10 @@ class RelationReader:
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
         """Raise an error for a constraint without a rule if its members differ in time only.
 
-        Such a constraint is probably meant for all times. Without a rule, however, it can only be
-        imposed at the declared times (members of the continuous set). `component` is the
-        constraint, and `instances` are its members, one at each declared time.
+        The constraint is probably meant for all times. `instances` are its members, one at each
+        declared time (member of the continuous set).
         """
+        # Without a rule, the constraint can only be imposed at the declared times.
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
             raise TranscriptionError(
                 f"{component.name}: is the same at every declared time, but has no rule for the "
@@ -151,16 +147,8 @@ class RelationReader:
     def _refuse_listed(self, component: Any) -> None:
         """Raise an error for a ConstraintList that repeats one constraint at all declared times.
 
-        A declared time is a member of the continuous set. Such a list is probably meant for all
-        times, but could only be imposed at the declared times. The error is raised if all of these
-        hold:
-
-        - The list has one member per declared time.
-        - The members differ in time only.
-        - The variables in the members are algebraic variables over time (no states or static
-          variables).
-
-        `component` is the ConstraintList.
+        A list is checked only if it has one member per declared time, and contains no variables
+        except algebraic variables over time.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -172,6 +160,7 @@ class RelationReader:
                 return
             times |= {a.time for a in held}
         if times == set(self.copy.declared_times):
+            # Such a list is probably meant for all times.
             self._refuse_alike(component, members)
 
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
@@ -221,21 +210,19 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the conditions that a constraint's members at start and end add to its equation.
+        """Return a constraint's members at start and end that its equation does not impose.
 
-        A condition is a constraint at a single time. `equation` is the constraint as an equation
-        over time, which is imposed at the collocation points. The collocation points include the
-        end of the horizon but not its start. `instances` has the members of the constraint at
-        declared times (members of the continuous set).
+        `equation` is the constraint as an equation over time. `instances` has its members at
+        declared times.
 
-        - The member at the start becomes a condition if the equation contains states only. If it
-          also contains rates (time derivatives of states) or algebraic variables, it is not imposed
-          at the start. The same applies if all variables in the member are fixed at values that
-          satisfy it.
-        - The member at the end becomes a condition if it differs from the equation.
+        - The member at the start is returned if it contains states, but no rates or algebraic
+          variables. It is left out if all its variables are fixed and satisfy it.
+        - The member at the end is returned if it differs from the equation.
         """
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
+        # The collocation points include the end of the horizon but not its start. An equation with
+        # rates or algebraic variables is not imposed at the start.
         is_met = first in instances and _is_met_as_fixed(instances[first])
         if first in instances and self._states_only(equation) and not is_met:
             added.append(self._imposed(self._condition(instances[first])))
@@ -321,13 +308,8 @@ class RelationReader:
     ) -> bool:
         """Return whether a condition equals an equation over time, evaluated at a declared time.
 
-        A condition is a constraint at a declared time (a member of the continuous set). Condition
-        and equation come from one constraint of the model. If they are equal, the condition need
-        not be imposed separately.
-
-        The rule of the constraint may branch on time. It may then return one number exactly at the
-        declared time, and another number just before or after it. For such a rule, numbers are
-        ignored: condition and equation are equal if they contain the same symbols.
+        Both come from one constraint of the model. If its rule branches on time, they count as
+        equal if they contain the same symbols.
 
         Parameters
         ----------
@@ -339,6 +321,7 @@ class RelationReader:
             Side of the declared time on which rules that branch on time are evaluated: -1 just
             before it, 1 just after it.
         """
+        # A condition that equals its equation need not be imposed separately.
         table = self.symbols
         clock = table.clock
         fraction = clock.fraction_of(time)
@@ -363,6 +346,8 @@ class RelationReader:
             [*old, *(symbol for symbol, _ in numbers.values())],
             [*new, *(number for _, number in numbers.values())],
         )
+        # A rule that branches on time may return one number exactly at the declared time, and
+        # another one just beside it.
         is_scheduled = self._writer.is_scheduled(equation.name)
         if is_scheduled and symbol_names(moved[0]) == symbol_names(moved[3]):
             return True
@@ -371,11 +356,8 @@ class RelationReader:
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
-        A declared time is a member of the continuous set. The method also adds constraints to the
-        list `conditions`, one for each of these:
-
-        - a value to which an algebraic variable or a derivative is fixed at a declared time;
-        - a bound that was assigned at a single declared time.
+        The method appends other fixed values at declared times, and bounds that were assigned at
+        single declared times, to `conditions`.
         """
         fixed = []
         table = self.symbols
@@ -527,11 +509,8 @@ class ModelReader:
     def require_all(self) -> None:
         """Raise an error for a model without a variable to solve for, or without complete dynamics.
 
-        The dynamics are complete if each state satisfies one of these conditions:
-
-        - Its time derivative appears in an equation over time.
-        - Equations without time derivatives determine it. An example is the boundary value of a
-          variable that is discretised in space.
+        Dynamics are complete if an equation over time contains the derivative of each state, or
+        equations without time derivatives determine the state.
         """
         self._require_dynamics(self.equations)
         self._require_variables()
@@ -600,14 +579,8 @@ class ModelReader:
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
         """Return the algebraic variables that the model uses, by name.
 
-        The model uses a variable if one of these holds:
-
-        - The variable appears in an equation over time or in an integrand.
-        - Its value at a single time appears in a condition (a constraint at that time) or in the
-          objective.
-
-        `points` has the symbols of the values at single times in conditions and objective. The
-        result maps names to variables.
+        They appear in an equation over time, in an integrand, or in `points`. These are the symbols
+        of the values at single times that conditions and objective contain.
         """
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
@@ -625,11 +598,10 @@ class ModelReader:
             )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
-        """Raise an error for a state whose time derivative appears in no equation.
+        """Raise an error for a state whose time derivative appears in no equation over time.
 
-        `equations` are the equations over time. A state is accepted without its derivative if
-        equations without time derivatives determine it. An example is the boundary value of a
-        variable that is discretised in space.
+        A state is accepted without its derivative if equations without time derivatives determine
+        it.
         """
         read = [symbol_names(e.expression) for e in equations if e.is_equality]
         used = frozenset[str]().union(*read)
@@ -651,23 +623,14 @@ class ModelReader:
     ) -> frozenset[str]:
         """Return the names of the variables that equations without time derivatives determine.
 
-        A state with such an equation needs no differential equation. An example is the boundary
-        value of a variable that is discretised in space.
-
-        Each equation can determine one of its variables. A maximum bipartite matching assigns a
-        different equation to each variable, as far as possible. The result has the names of all
-        variables with an equation.
-
-        The variables in the matching are the given states and the derivatives in space. For each
-        derivative in space, the discretisation adds one equation that determines it. The
-        derivatives are part of the matching, so that they take up these equations. Otherwise the
-        equations could be assigned to states by mistake.
-
-        `states` are the states whose time derivatives appear in no equation. `read` has one item
-        per equality over time: the names of its symbols.
+        `states` are the states whose time derivatives appear in no equation. `read` has the names
+        of the symbols of each equality over time.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
+        # For each derivative in space, the discretisation adds one equation that determines it. The
+        # derivatives take part in the matching, so that no state takes up these equations by
+        # mistake.
         in_space = {
             name
             for name, slot in self.symbols.algebraics.items()
@@ -677,6 +640,8 @@ class ModelReader:
         if not algebraic or not states:
             return frozenset()
         holds = csr_matrix([[name in names for names in algebraic] for name in wanted], dtype=int)
+        # Each equation can determine one of its variables. The matching assigns a different
+        # equation to each variable, as far as possible.
         found = maximum_bipartite_matching(holds, perm_type="column")
         return frozenset(name for name, row in zip(wanted, found, strict=True) if row >= 0)
 

@@ -1,7 +1,7 @@
 """Sources of the values of parameters and variables: a Pyomo model, or a copy for pickling.
 
-A compiled problem reads these values when it is solved. The source is usually the user's Pyomo
-model. In a pickled problem, the source is a copy of the values that the model had at pickling.
+A compiled problem reads these values when it is solved: usually from the user's Pyomo model, and in
+a pickled problem from a copy of the model's values at pickling.
 """
 
 from __future__ import annotations
@@ -195,8 +195,7 @@ class LiveModel:
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return a variable's value in the model, None if it is unset or the component is no Var.
 
-        `slot` is the variable. `time` is the time of the value, a member of the model's continuous
-        set; None for a variable that is not indexed by time.
+        `time` is a member of the continuous set; None for a variable without time.
         """
         component = self.model.find_component(slot.component)
         if component.ctype is not Var:
@@ -207,9 +206,8 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        `slot` is the variable. The result is None if the variable has no `initialize` rule. It is
-        also None if the values in the model are no longer those of the rule. The returned function
-        raises a `TranscriptionError` at a time at which the rule fails.
+        The function raises a `TranscriptionError` where the rule fails. The result is None if there
+        is no rule, or if the model's values differ from those of the rule.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -258,9 +256,8 @@ class LiveModel:
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
         """Return the Pyomo data object of a variable or parameter.
 
-        `component` is the Pyomo variable or parameter. `slot` gives the index without the time (i
-        for ``x[i, t]``). `time` is the time t, a member of the model's continuous set; None for a
-        variable or parameter that is not indexed by time.
+        `slot` gives its index without the time. `time` is a member of the continuous set; None for
+        a component that is not indexed by time.
         """
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
@@ -324,11 +321,10 @@ class LiveModel:
                 data.set_value(number, skip_validation=True)
 
     def load_rates(self, time: float, rate: Callable[..., float]) -> None:
-        """Set the model's derivatives at a declared time to their solved values.
+        """Set the model's derivatives at a declared time (member of the continuous set).
 
-        `time` is the declared time, a member of the continuous set. `rate(name, index=...)` returns
-        the value of the derivative with the given name and the given index without the time (i for
-        ``x[i, t]``).
+        `rate(name, index=...)` returns the solved value of a derivative, by its name and its index
+        without the time: (i,) for ``x[i, t]``.
         """
         for derivative in self.model.component_objects(DerivativeVar, descend_into=True):
             for position in derivative:
@@ -424,10 +420,8 @@ class LiveModel:
     ) -> Interpolant:
         """Return a parameter over time as an `Interpolant`: polynomials that can be pickled.
 
-        `slot` is the parameter. The polynomials approximate it piece by piece between the two times
-        in `horizon`. `asked` are times in rising order, between which jumps of the parameter are
-        searched. If the approximation fails, the result has a message with the reason instead of
-        polynomials.
+        The polynomials extend over `horizon`. Jumps are searched between neighbouring times of
+        `asked`, which rise. If the approximation fails, the result has a message instead.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -468,8 +462,8 @@ def _as_interpolant(
 class ModelSnapshot:
     """Values that a model had when its problem was pickled, with the interface of `LiveModel`.
 
-    A `LiveModel` reads the values of parameters and variables from the user's Pyomo model. In a
-    pickled problem, which does not contain the model, a `ModelSnapshot` takes its place.
+    In a pickled problem, which does not contain the Pyomo model, it takes the place of the
+    `LiveModel`.
 
     Attributes
     ----------
@@ -489,10 +483,8 @@ class ModelSnapshot:
     guesses : dict
         Name of a variable -> its `initialize` rule, as a function of time.
     schedules : tuple of Interpolant
-        Functions of time, one for each `Schedule` or `Phases` object of the `LiveModel`. For a rule
-        that branches on time, the function gives the branch that applies and the numbers in it. For
-        a horizon with free times (times that the solve determines), it gives the phase that
-        contains a time.
+        For each `Schedule` or `Phases` object of the `LiveModel`: the values that its method `row`
+        returns, as functions of time.
     """
 
     times: tuple[float, ...]
@@ -535,9 +527,8 @@ class ModelSnapshot:
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
         """Return the value that a variable had in the model when the problem was pickled.
 
-        `slot` is the variable. `time` is the time of the value, a member of the model's continuous
-        set; None for a variable that is not indexed by time. The result is None if the variable had
-        no value, or if the component was no Var.
+        `time` is a member of the continuous set; None for a variable without time. The result is
+        None if there was no value.
         """
         return self.variables[slot.name, time]
 
@@ -562,9 +553,9 @@ class ModelSnapshot:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of the function `signal` at a time, in the form of a `Reading`.
+    """Return the value of the function `signal` at a time as a `Reading`.
 
-    A `Reading` has numbers and a key. Here the only number is the value of `signal` at `time`, and
-    the key is None. The function `jumps` needs this form to find the times at which `signal` jumps.
+    The function `jumps` requires this form. The value is the only number of the `Reading`, and the
+    key is None.
     """
     return Reading(None, (signal(time),))

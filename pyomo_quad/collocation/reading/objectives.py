@@ -49,13 +49,8 @@ def objective_of(copy: WorkingCopy) -> Any:
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
     """Raise an error for an objective that sums a function of a control over the declared times.
 
-    The declared times are the members of the continuous set. Such a sum is probably meant as an
-    integral: the value of a control at a single time has no effect on the trajectory. The error is
-    raised if the control enters the objective in the same way at all declared times. A sum over a
-    state is accepted, because it may be a fit to data, or a cost at start and end of the horizon.
-
-    `objective` is the Pyomo objective, and `time` the continuous set. `copy` is the clone of the
-    user's model to which they belong.
+    Such an objective depends on a control in the same way at all declared times, the members of the
+    continuous set `time`.
     """
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
@@ -81,6 +76,8 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
         return
     first, *others = at_instants.values()
     for key in first:
+        # A sum over a state is accepted: it may be a fit to data, or a cost at start and end of the
+        # horizon.
         is_control = key[0] not in states
         if is_control and all(_is_alike(cost, key, first, other) for other in others):
             raise TranscriptionError(

@@ -1,8 +1,7 @@
 """Rules of a model's components: functions that make the members of constraints and expressions.
 
-A clone of a model keeps the rules of the original, which refer to the original's components. This
-module makes the clone's rules refer to the clone, and checks that the members of components still
-agree with their rules.
+A clone of a model keeps the rules of the original. This module makes these rules refer to the
+clone's components, and checks that members still agree with their rules.
 """
 
 from __future__ import annotations
@@ -100,9 +99,8 @@ def initial_rule_of(variable: Any) -> Any:
 def refuse_lost_members(copy: Any, template_time: float) -> None:
     """Raise an error for rules that fail at the template time, which the model does not declare.
 
-    The template time is an interior time that is added to a continuous set, to read the equations
-    over time there. If a rule raises a `KeyError`, Pyomo skips the member. If this happened at the
-    template time, the constraint would disappear from the nonlinear program without notice.
+    The template time is an interior time added to a continuous set, at which equations over time
+    are read.
 
     Parameters
     ----------
@@ -118,6 +116,8 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     """
     for component, rule in _with_rules(copy):
         for index in component.index_set():
+            # Pyomo skips a member whose rule raises a KeyError. At the template time, the
+            # constraint would thus disappear from the nonlinear program without notice.
             if template_time not in index_tuple(index) or index in component:
                 continue
             try:
@@ -129,15 +129,16 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    Equations over time are read by calling the rule again. If a user has changed a member with
-    Pyomo's method `set_value`, the call would not show the change. `copy` is the clone of the
-    user's model. Its constraints and named expressions with a rule are checked.
+    `copy` is the clone of the user's model. Its constraints and named expressions with a rule are
+    checked.
 
     Raises
     ------
     TranscriptionError
         If a member differs; the message names the member.
     """
+    # Equations over time are read by calling the rule again. The call would not show a change by
+    # Pyomo's method `set_value`.
     for component, rule in _with_rules(copy):
         for index in tuple(component)[-1:]:
             try:
@@ -205,8 +206,7 @@ class _Translator:
     """Translator of functions that refer to a model into functions that refer to the model's clone.
 
     A rule may refer to components of the model through its closure, global variables and default
-    arguments. The translator makes a copy of the rule that refers to the corresponding components
-    of the clone instead.
+    arguments. The copy of the rule refers to the clone's components instead.
     """
 
     def __init__(self, model: Any, copy: Any) -> None:

@@ -1,13 +1,12 @@
 """Rules that branch on time, as data over time for compiled equations.
 
 A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
-This module therefore calls the rule at many times, and sorts the returned expressions into forms.
-Expressions of one form differ in their numbers only. Each form is compiled once. The compiled
-equations then need two kinds of data at every collocation point: which form applies there, and the
-numbers that vary in the form. Bisection finds the times at which these data jump.
+This module calls the rule at many times, and sorts the returned expressions into forms. Expressions
+of one form differ in their numbers only. Each form is compiled once. The equations then read data
+at every collocation point: the form that applies, and the numbers that vary in it. Bisection finds
+the times at which these data jump.
 
-For pickling, piecewise polynomials replace the functions of time, so that no rule of the model is
-needed to evaluate them. The pieces do not extend across jumps.
+In a pickle, piecewise polynomials replace the functions of time. No piece extends across a jump.
 """
 
 from __future__ import annotations
@@ -129,13 +128,12 @@ class _Form:
     def compare(self, numbers: tuple[float, ...]) -> None:
         """Record which numbers in the form vary, by comparison with a further result of the rule.
 
-        `numbers` are the numbers in a later result of this form, in the order of their appearance.
-        Each position at which they differ from the attribute `numbers` is added to the attribute
-        `varying`. In the compiled equations, numbers that vary are data over time, and all others
-        are constants.
+        `numbers` are those of the further result, in the order of their appearance.
         """
         for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
             if number != first and k not in self.varying:
+                # Such numbers are data over time in the compiled equations. All others are
+                # constants.
                 self.varying.append(k)
 
 
@@ -199,9 +197,8 @@ class Schedule:
     def _slot(self, what: str) -> Slot:
         """Return a new `Slot`: a named quantity over time, with a new CasADi symbol.
 
-        The quantity is one of the data over time that the compiled equations read, for example a
-        number in the rule's result. `what` describes the quantity in words. The name of the `Slot`
-        is the name of the component, followed by `what` in parentheses.
+        The name of the `Slot` is the name of the component, followed by the description `what` in
+        parentheses.
         """
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
@@ -283,15 +280,9 @@ class Schedule:
     def row(self, time: float) -> list[float]:
         """Return the values, at one time, of the data that the compiled forms read.
 
-        A form is an expression that the rule returns, with numbers as parameters. The values are in
-        the order of the attribute `slots`:
-
-        - First come the factors that select a form: 1 for the form that applies at the time, and 0
-          for the others. If there are several forms, the last has no factor. It applies if all
-          factors are 0.
-        - Then follow the numbers that vary in the forms.
-
-        If the time was evaluated before, the result comes from a cache.
+        The order is that of `slots`: first the factors, then the numbers. The factor of a form is 1
+        if the form applies at the time, else 0. If there are several forms, the last one has no
+        factor. It applies if all factors are 0.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
@@ -312,10 +303,7 @@ class Schedule:
         """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
         The parts are lower bound, body and upper bound of a constraint, or a single expression.
-        Results of the rule at different times have the same form if they differ in their numbers
-        only. Each returned expression combines all forms, so that it holds at all times. Some of
-        its symbols select the form that applies at a time. The others stand for the numbers that
-        vary. These symbols are in the attribute `slots`, and their values are data over time.
+        Each expression combines all forms, with the symbols of `slots`.
 
         Parameters
         ----------
@@ -350,21 +338,15 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Replace the bodies of forms without bounds by the body of a form with bounds.
+        """Give forms in which the rule skips the constraint the body of the first other form.
 
-        Results of the rule have the same form if they differ in their numbers only. At times at
-        which the rule skips the constraint, the form has no bounds. The body of this form has no
-        effect, and can be replaced. The new body is that of the first form with bounds. If the new
-        body is not linear, nothing is changed.
-
-        The replacement serves constraints on a single variable. Such a constraint can become a
-        bound of the variable, but only if all forms have the same body.
-
-        `forms` has lower bound, body and upper bound of each form, as CasADi expressions. It is
-        changed in place.
+        The method `written` can then use this body at all times. `forms` has lower bound, body and
+        upper bound of each form. It is changed in place, unless the new body is nonlinear.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
+            # The body has no effect where the rule skips the constraint. A constraint on a single
+            # variable can become a bound of the variable, but only if all forms have the same body.
             body = forms[is_skipped.index(False)][1]
             for parts, is_without in zip(forms, is_skipped, strict=True):
                 if is_without and _is_linear(body):
@@ -374,11 +356,8 @@ class Schedule:
 class Phases:
     """Indicators of the phases of a horizon with free times, as data for compiled equations.
 
-    Free times are times that the solve determines. Those inside the horizon divide it into phases.
-    The indicator of a phase is 1 at times of the phase and 0 elsewhere.
-
-    The class can take the place of a `Schedule` (the data of a rule that branches on time). Both
-    classes have the attributes `name` and `slots` and the methods `reading` and `row`.
+    An indicator is 1 at times of its phase and 0 elsewhere. The class can take the place of a
+    `Schedule`: both have the attributes `name` and `slots` and the methods `reading` and `row`.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
@@ -390,11 +369,10 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return the phase at a time as a `Reading` for the function `jumps`.
+        """Return the phase at a time as a `Reading`, the form that the function `jumps` requires.
 
-        A `Reading` has a key and numbers. Here the key is the index of the phase that contains
-        `time`, and there are no numbers. `time` is in the range of the continuous set. The function
-        `jumps` finds the times at which the key changes, which are the times between phases.
+        The key is the index of the phase, and there are no numbers. `time` is in the range of the
+        continuous set.
         """
         return Reading(self._clock.phase_of(time), ())
 
@@ -436,11 +414,10 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 
 
 def probes(times: Sequence[float]) -> list[float]:
-    """Return the times at which a rule is called to find its forms and jumps.
+    """Return the times inside the horizon at which a rule is called to find its forms and jumps.
 
-    `times` are the declared times (members of the continuous set) in rising order. The result has
-    64 times spread over the horizon, and one time just before and just after each declared time.
-    All of them lie inside the horizon. They are in rising order.
+    There are 64 times spread over the horizon, and one just before and after each of the declared
+    times `times`, all in rising order.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
@@ -470,9 +447,7 @@ def _jumps_between(
 ) -> Iterator[float]:
     """Yield the times from `start` to `end` at which a function of time jumps.
 
-    The function `reading` maps a time to a `Reading`, which has numbers and a key. Every change of
-    the key is a jump. A change of a number is a jump if it does not become smaller when the
-    interval around it is halved. Each jump is located by bisection to within the duration
+    `jumps` defines a jump of `reading`. Each jump is located by bisection to within the duration
     `resolution`.
     """
     while reading(start).key != reading(end).key:
@@ -492,9 +467,8 @@ def _steps(
 ) -> Iterator[float]:
     """Yield the times from `start` to `end` at which a number of a reading jumps.
 
-    The function `reading` maps a time to a `Reading`, which has numbers. A change of a number is a
-    jump if it does not become smaller when the interval around it is halved. Each jump is located
-    by bisection to within the duration `resolution`.
+    `jumps` defines a jump of a number. Each jump is located by bisection to within the duration
+    `resolution`.
     """
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
@@ -520,16 +494,13 @@ def _steps(
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     """Return the fraction of the horizon at which parameters are evaluated for a given fraction.
 
-    The result is usually `fraction` itself. There are two exceptions:
-
-    - If a parameter jumps at `fraction`, the result is just before the jump. The jump is on the
-      boundary of two elements, which belongs to the element before it.
-    - If `fraction` is 0 or 1, the result is slightly inside the horizon.
-
-    `jumps_at` are the fractions at which parameters jump, in rising order.
+    If parameters jump at `fraction`, the result is just before the jump. If `fraction` is 0 or 1,
+    the result is slightly inside the horizon. Otherwise, it is `fraction` itself. `jumps_at` are
+    the fractions at which parameters jump, in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
+    # A jump is on the boundary of two elements, which belongs to the element before it.
     if nearest < len(jumps_at) and jumps_at[nearest] <= inside + BESIDE:
         return jumps_at[nearest] - BESIDE
     return inside
@@ -634,11 +605,9 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the values at a time as a `Reading` without a key, for the function `jumps`.
+        """Return the values at a time as a `Reading`, the form that the function `jumps` requires.
 
-        A `Reading` has numbers and a key. Here the numbers are the values of all interpolated
-        functions, and the key is the same at all times. The function `jumps` finds the times at
-        which a number jumps.
+        The numbers are the values of all interpolated functions. The key is the same at all times.
         """
         return Reading(None, tuple(self.row(time)))
 
@@ -653,12 +622,10 @@ def interpolant(
     horizon: tuple[float, float],
     jumps: Sequence[float],
 ) -> Interpolant:
-    """Approximate functions of time by piecewise polynomials over a horizon.
+    """Approximate functions of time by piecewise polynomials over a horizon, for pickling.
 
-    The polynomials can be pickled. In a pickle, they replace functions that cannot, such as rules
-    of a model. The horizon is first divided at the jumps. A piece is halved until a polynomial of
-    degree 12 reproduces each function to 1e-13 of the function's largest magnitude in the piece.
-    Pieces are therefore short near a kink.
+    The horizon is divided at the jumps. A piece is then halved until a polynomial of degree 12
+    reproduces each function to 1e-13 of the function's largest magnitude in the piece.
 
     Parameters
     ----------
@@ -695,6 +662,7 @@ def interpolant(
             if len(pieces) > _MOST_PIECES:
                 refusal = f"{name}: its rule is too rough to be pickled; compile the model again."
                 return Interpolant(edges=(), pieces=(), refusal=refusal)
+            # Halving makes the pieces short near a kink.
             middle = 0.5 * (first + last)
             waiting += [(middle, last), (first, middle)]
     except TranscriptionError as error:

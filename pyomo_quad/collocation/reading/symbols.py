@@ -1,10 +1,10 @@
 """CasADi symbols of a Pyomo model's components, and the model as expressions of these symbols.
 
-A Pyomo constraint over time has one member for each time in the continuous set. It is translated
-into one equation that holds at all times. For this purpose, an interior time is added to the
-continuous set of a clone of the model: the template time. The member of the constraint at the
-template time is translated to CasADi. The resulting equation is imposed at every collocation point.
-Declared times are the members that the continuous set has in the user's own model.
+A Pyomo constraint over time has one member for each time in the continuous set. To translate it
+into one equation for all times, an interior time is added to the continuous set of a clone of the
+model: the template time. The constraint's member at the template time is translated to CasADi. This
+equation is imposed at every collocation point. Declared times are the members that the continuous
+set has in the user's own model.
 """
 
 from __future__ import annotations
@@ -34,10 +34,8 @@ if TYPE_CHECKING:
 class TimeSymbol:
     """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    A rule may use its time in three ways:
-
-    - As an index, the symbol equals the template time. This is an interior time that was added to
-      the continuous set. The rule's ``m.x[t]`` is the member at the template time.
+    - As an index, the symbol equals the template time. The rule's ``m.x[t]`` is the member at the
+      template time.
     - In arithmetic, the symbol is a Pyomo parameter that stands for physical time.
     - In a comparison, the symbol is a number.
 
@@ -79,19 +77,16 @@ class TimeSymbol:
         return self.template == other
 
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
-        """Return the result of comparing this symbol with another number in a rule of the model.
+        """Return the result of comparing the number of this symbol with another number in a rule.
 
-        In comparisons the symbol has a number, by default the template time (the added interior
-        time at which equations are read). `relation` is the comparison, a function of two numbers,
-        for example `operator.lt`. `other` is the second number, or another symbol for time.
-
-        A comparison with any number except a declared time (member of the continuous set) sets the
-        attribute `is_read` to True. The result of the rule then does not hold at all times.
+        `relation` is a function of two numbers, such as `operator.lt`. `other` is the second
+        number, or another symbol for time.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
             return bool(relation(self._number, other._number))  # noqa: SLF001
         if other not in self._declared:
+            # The result of the rule then does not hold at all times.
             self.is_read = True
         return bool(relation(self._number, other))
 
@@ -167,9 +162,8 @@ for _operation in (
 class Instant(float):
     """Time that a rule receives; used as an index, it selects variables at the template time.
 
-    The template time is an interior time that was added to the continuous set. A rule that branches
-    on time is called with several instants. Each instant is another number, but as an index it is
-    always the template time. The results therefore contain the variables at the template time only.
+    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. The rule can thus
+    be called with many times, and all its results refer to variables at the template time.
     """
 
     __slots__ = ("template",)
@@ -202,12 +196,10 @@ RegisterNumericType(Instant)
 
 
 class _TrapezoidProbe:
-    """Stand-in for a block, in which the continuous set consists of two equal times.
+    """Stand-in for the block of an integral: its continuous set consists of two equal times.
 
-    The function `integrand` uses the stand-in to obtain the integrand of a `pyomo.dae.Integral`.
-    The rule of an integral sums trapezoids between the times in the set. With this stand-in as its
-    block, the rule sums a single trapezoid. Both ends of the trapezoid are at the same time, and
-    its width is defined as 1. Its area is therefore the integrand at this time.
+    The rule of a `pyomo.dae.Integral` sums trapezoids between the times of the set. Called with
+    this stand-in, the rule returns the integrand: see `integrand`.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -216,12 +208,9 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
-        """Return the component of the block that has the name `name`.
+        """Return two equal times for the name of the continuous set, else the block's component.
 
-        The rule of an integral calls this method to look up the continuous set. If `name` is the
-        name of this set, the result is a list of two equal times. The rule then sums a single
-        trapezoid. For any other name, the result is the component of that name in the real Pyomo
-        block.
+        The rule of an integral calls this method to look up the continuous set.
         """
         if name == self._set_name:
             return [self._symbol, self._symbol]
@@ -241,22 +230,20 @@ def time_parameter() -> Any:
 def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     """Return the integrand of a `pyomo.dae.Integral` at a time, as a Pyomo expression.
 
-    `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. This
-    function calls the rule for a single trapezoid. Both ends of the trapezoid are `symbol`, and its
-    width is defined as 1. Its area, which the rule returns, is therefore the integrand at that
-    time.
-
     Parameters
     ----------
     integral : Integral
     index : index of the integral, or None
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time: a `TimeSymbol` stands for any time, and an `Instant` is a number. It appears in
-        the result wherever the integrand contains the time itself. The template time is an interior
-        time that was added to the continuous set. As an index, both objects equal the template
-        time. The variables in the result are therefore the members at the template time.
+        The time: a `TimeSymbol` stands for any time, and an `Instant` for one time. As an index, it
+        equals the template time, an interior time that was added to the continuous set. The result
+        therefore contains the variables at the template time. The time itself becomes a parameter
+        for a `TimeSymbol`, and a number for an `Instant`.
     """
+    # `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. The
+    # rule is called for a single trapezoid: both ends are `symbol`, and its width is defined as 1.
+    # Its area is therefore the integrand.
     probe = _TrapezoidProbe(integral.parent_block(), integral.get_continuousset(), symbol)
     return integral._rule(probe, index)  # noqa: SLF001
 
@@ -381,9 +368,8 @@ class AddressBook:
 class Slot:
     """Scalar variable or parameter of the model, with its CasADi symbol.
 
-    In a component over time, a `Slot` stands for all members that differ in time only. For example,
-    the `Slot` with the name ``rotors.omega[1]`` stands for ``rotors.omega[1, t]`` at all times t.
-    In a component without time, a `Slot` stands for a single member.
+    In a component over time, it stands for all members that differ in time only: the `Slot` with
+    the name ``rotors.omega[1]`` stands for ``rotors.omega[1, t]`` at all times t.
 
     Attributes
     ----------
@@ -414,8 +400,8 @@ class Slot:
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
         """Return a copy of the variable, with its magnitude for scaling from a mapping.
 
-        `magnitudes` maps names to magnitudes. The mapping is searched for the name of the variable,
-        then for the name of its component. The magnitude is None if the mapping has neither name.
+        `magnitudes` has magnitudes by name of a variable or, with lower priority, of a component.
+        The magnitude is None if `magnitudes` has neither name.
         """
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
@@ -574,24 +560,18 @@ class Declarations:
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of the data of a collocation point, in the order that compiled functions expect.
 
-        The order is:
-
-        - the fraction of the horizon;
-        - the parameters over time (`signals`);
-        - other quantities without a CasADi expression of time (`scheduled`);
-        - the parameters without time (`parameters`).
+        The order is: fraction of the horizon, parameters over time (`signals`), other quantities
+        without a CasADi expression of time (`scheduled`), parameters without time (`parameters`).
         """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
 
 
 class SymbolTable:
-    """Table of the CasADi symbols of a model's variables and parameters.
+    """Table of the CasADi symbols of a model's variables and parameters, each made at first use.
 
-    Each symbol is made when an expression needs it for the first time, and is reused afterwards.
-    Equations over time are read at the template time, an interior time added to the continuous set.
-    The symbol of a variable at the template time stands for the variable as a function of time. The
-    symbol of a variable at any other time stands for the variable's value at that other time.
+    The symbol of a variable at the template time stands for the variable as a function of time. Its
+    symbol at any other time stands for the value at that time.
 
     Parameters
     ----------
@@ -656,9 +636,8 @@ class SymbolTable:
     def _horizon(self, name: str, time: float) -> Any:
         """Return the symbol for the physical time at start or end of the horizon.
 
-        The symbol belongs to a new parameter of the model, named `name`. `time` is the first or
-        last member of the continuous set. For a model without a continuous set, `time` is 0 for the
-        start and 1 for the end. The result is then this number.
+        The symbol belongs to a new parameter called `name`. For a model without a continuous set,
+        the result is the number `time` instead.
         """
         if self._copy.time is None:
             return casadi.SX(time)
@@ -684,9 +663,7 @@ class SymbolTable:
     def _refuse_other_horizon(self, data: Any) -> None:
         """Raise an error if a variable or parameter is indexed by the time of another horizon.
 
-        A model may have several horizons, each with a continuous set. This table of symbols belongs
-        to one of them. `data` is the variable or parameter, a Pyomo data object. An expression of
-        this horizon contains it, and may not refer to the time of another horizon.
+        Expressions of one horizon may not refer to the time of another one.
         """
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
@@ -762,11 +739,8 @@ class SymbolTable:
     def _signal(self, data: Any, address: Any) -> Any:
         """Return the symbol of a parameter over time, or of its value at one time.
 
-        `data` is a member of the parameter, a Pyomo data object. `address` has the member's
-        component, index and time. A member at the template time (the added interior time at which
-        equations are read) stands for the parameter as a function of time. Any other member stands
-        for the value at its time. For a parameter that is time itself, the result is the expression
-        of physical time.
+        A member at the template time stands for the function of time. If the rule of the parameter
+        returns just its time, the result is the expression of physical time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)
@@ -786,24 +760,15 @@ class SymbolTable:
     def _physical_time(self, time: float) -> Any:
         """Return the physical time that corresponds to a time in an index, as a CasADi expression.
 
-        `time` is the time in the index. There are two cases:
-
-        - The template time is an interior time that was added to the continuous set. The result is
-          then physical time as a function of the fraction of the horizon.
-        - A declared time is a member that the continuous set has in the user's own model. The
-          result is then the physical time of this member.
+        At the template time, it is a function of the fraction of the horizon.
         """
         return self.clock.time if time == self._copy.template_time else self.clock.time_at(time)
 
     def _varying(self, data: Any, address: Any) -> Any:
         """Return a variable over time, or its time derivative, in CasADi symbols.
 
-        `data` is a member of the variable or derivative, a Pyomo data object. `address` has the
-        member's component, index and time. A member at the template time (the added interior time
-        at which equations are read) stands for the variable or derivative as a function of time. A
-        member at a declared time (a time that the user gave) stands for the value at that time. An
-        algebraic variable that is fixed at all declared times becomes a parameter. The result is
-        then the symbol of the parameter.
+        A member at the template time stands for the function of time. An algebraic variable that is
+        fixed at all declared times becomes a parameter.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar
@@ -826,9 +791,8 @@ class SymbolTable:
     def _slot(self, variable: Any, address: Any) -> Slot | None:
         """Return the `Slot` (symbol and bounds) of a variable over time, made at first use.
 
-        `variable` is the Pyomo component, and `address` has the index of its member without the
-        time. An algebraic variable that is fixed at all declared times (members of the continuous
-        set) becomes a parameter. The result is then None.
+        The result is None for an algebraic variable that is fixed at all declared times: it becomes
+        a parameter.
         """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):

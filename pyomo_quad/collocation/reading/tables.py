@@ -101,13 +101,7 @@ class Spline:
     def _local(self) -> LocalSpline:
         """The same spline as a `LocalSpline`, which is fast to evaluate.
 
-        The cost of an evaluation of a `LocalSpline` does not depend on the number of data points.
-
-        An evaluation has two steps. First, the value, gradient and Hessian of the spline are
-        computed at a rounded point: each argument is rounded by at most 4e-12 of the smallest grid
-        step. Then the Taylor polynomial of degree two about the rounded point gives the value at
-        the arguments themselves. The rounded point is so near that the error of this polynomial is
-        negligible. Beyond the data the spline is linear, and the polynomial is exact.
+        See docs/theory/transcription.md, "Interpolation tables".
         """
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
@@ -129,16 +123,8 @@ def _extended_linearly(
 ) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    The result is computed in two steps. First, a usual spline interpolates the data. Then the
-    resulting spline is computed from its values at its Greville abscissae. A Greville abscissa is
-    the mean of `degree` successive knots, and there is one for each coefficient. The values are:
-
-    - inside the range of the data: the value of the usual spline;
-    - outside: the value of the tangent of the usual spline at the nearest data point.
-
-    In the resulting spline, the first and the last data point are knots of multiplicity degree - 1.
-    At these knots, only value and slope are continuous. The spline can therefore change to a
-    straight line there.
+    Inside the range of the data, the result equals the usual interpolating spline. Outside, it is
+    the tangent of that spline at the nearest data point.
 
     Parameters
     ----------
@@ -159,10 +145,13 @@ def _extended_linearly(
     spline = make_interp_spline(at, values, k=degree)
     first, last, far = at[0], at[-1], _BEYOND * (at[-1] - at[0])
     inner = spline.t[degree + 1 : -degree - 1]
+    # At a knot of multiplicity degree - 1, only value and slope are continuous. The spline can
+    # therefore change to a straight line at the first and the last data point.
     ends = [np.full(degree + 1, first - far), np.full(degree - 1, first)]
     starts = [np.full(degree - 1, last), np.full(degree + 1, last + far)]
     knots = np.concatenate([*ends, inner, *starts])
     count = knots.size - degree - 1
+    # Greville abscissae: means of `degree` successive knots, one for each coefficient.
     places = np.array([knots[k + 1 : k + 1 + degree].mean() for k in range(count)])
     # The average of three equal knots may be off by a rounding error.
     places = np.clip(places, knots[0], knots[-1])
@@ -177,8 +166,7 @@ class Table(PythonCallbackFunction):
 
     With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. The
     function is the cubic not-a-knot spline through the values, which is twice continuously
-    differentiable. Two arrays of points and a matrix of values make a function of two arguments;
-    more arguments are possible in the same way.
+    differentiable. It may also have several arguments.
 
     Parameters
     ----------
@@ -221,10 +209,9 @@ class Table(PythonCallbackFunction):
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
         """Return the table's value, gradient and Hessian at given arguments, as Pyomo requires.
 
-        `arguments` are numbers, one for each argument of the table. The Hessian is returned as its
-        upper triangle, column after column. Pyomo also passes the required order of derivatives and
-        the constant arguments. Both are ignored.
+        `arguments` are numbers. The Hessian is returned as its upper triangle, column after column.
         """
+        # Pyomo also passes the required order of derivatives and the constant arguments.
         value, gradient, hessian = self.spline.function(arguments)
         upper = [float(hessian[i, j]) for j in range(len(arguments)) for i in range(j + 1)]
         return float(value), [float(gradient[k]) for k in range(len(arguments))], upper
@@ -330,9 +317,8 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    The function is called with CasADi symbols, and returns an expression of these symbols. At a few
-    random points, the values of the expression are compared with the values of the function. The
-    result is None if the call fails or any of the values differ.
+    The result is also None if the values of the expression differ from those of the function at one
+    of a few random points.
 
     Parameters
     ----------
@@ -378,9 +364,8 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 def _range(argument: Any) -> tuple[float, float]:
     """Return the interval from which test values for an argument of a function are drawn.
 
-    The test compares values of the function with values of its CasADi expression. `argument` is the
-    argument, a Pyomo expression. The result is (lower bound, upper bound) of the expression, or
-    (0.1, 0.9) if a bound is missing.
+    `argument` is a Pyomo expression. The interval has the bounds of the expression, or (0.1, 0.9)
+    if one is missing.
     """
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))

@@ -84,11 +84,10 @@ class Instance:
     def _picklable(
         self, name: str, given: float | Callable[[float], float]
     ) -> float | Interpolant | Steps:
-        """Return a parameter's value in a form that can be pickled.
+        """Return a parameter's value from the caller in a form that can be pickled.
 
-        `name` is the name of the parameter, and `given` its value from the caller. A function of
-        time becomes piecewise polynomials over the horizon. Numbers are returned unchanged, and so
-        are `Interpolant` and `Steps` objects, which can be pickled already.
+        A function of time becomes piecewise polynomials over the horizon. Numbers, `Interpolant`
+        and `Steps` objects are returned unchanged.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
@@ -203,14 +202,10 @@ class ModelValues:
         return _present(slot.name, self._source.parameter(slot))
 
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
-        """Return the time-dependent parameters as a function of the fraction of the horizon.
+        """Return the time-dependent data as a function of the fraction of the horizon.
 
-        The function returns a list of numbers, in the order that the compiled equations expect:
-        first the values of the time-dependent parameters, then the values of the symbols in
-        `Declarations.scheduled`. These symbols stand for other numbers that change with time. An
-        example is a coefficient that a rule sets to 1 before a given time and to 2 after it.
-
-        `instance` holds the horizon, and the parameter values that the caller gives.
+        The data are the parameters over time, then the symbols in `Declarations.scheduled`. An
+        example of the latter is a coefficient that a rule changes at a given time.
 
         Raises
         ------
@@ -242,15 +237,11 @@ class ModelValues:
     def jumps(
         self, overrides: Overrides | None, horizon: tuple[float, float] | None
     ) -> tuple[float, ...]:
-        """Return the fractions of the horizon at which time-dependent parameters may jump.
+        """Return the fractions of the horizon at which time-dependent data may jump.
 
-        The fractions, in rising order, belong to two kinds of times:
-
-        - the interior declared times (members of the continuous set);
-        - the times at which bisection finds a jump of a parameter or of a rule's result.
-        Jumps of parameters given as `Steps` (piecewise constant functions) are not searched.
-        `overrides` has the parameter values that the caller gives. `horizon` is start and end of
-        the horizon, by default the ends of the continuous set.
+        These are the declared times inside the horizon, and the times at which parameters or
+        results of rules jump. Jumps of parameters given as `Steps` are left out. The fractions
+        rise.
         """
         if not self._declared.has_signals:
             return ()
@@ -269,14 +260,12 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        The range is normally the horizon of the solve, `horizon`. If any time is free (determined
-        by the solve), the physical times are unknown. Rules are then called with times of the
-        continuous set, and the range is that of the continuous set.
-
-        As a side effect, the method records the union of the ranges of all its calls. When the
-        model is pickled, piecewise polynomials replace its rules in this union.
+        If the model has free times, this is the range of the continuous set, else `horizon`. The
+        method also records the smallest range that contains all ranges returned so far.
         """
+        # With free times, the physical times are unknown.
         found = self.declared_horizon if self._declared.clock.is_free else horizon
+        # In a pickle, piecewise polynomials replace the rules over this range.
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
         return found
 
@@ -344,12 +333,8 @@ class ModelValues:
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
         """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        `slot` is the variable. The result is None in three cases:
-
-        - the variable has no `initialize` rule;
-        - the values of the variable in the model differ from the values of the rule;
-        - the rule fails or is not finite at one of the fractions, for example because it looks up
-          values at members of the continuous set.
+        The result is None if there is no rule, or if the model's values differ from those of the
+        rule. It is also None if the rule fails or is not finite at one of the fractions.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -357,6 +342,7 @@ class ModelValues:
             return None
         try:
             found = np.array([guess(first + (last - first) * float(f)) for f in fractions])
+        # The rule may look up values at members of the continuous set.
         except TranscriptionError:
             return None
         return found if np.all(np.isfinite(found)) else None
@@ -394,11 +380,10 @@ class ModelValues:
         self._source.load(slot, time, number)
 
     def load_rates(self, fraction: float, rate: Callable[..., float]) -> None:
-        """Set the model's derivatives at a declared time to their solved values.
+        """Set the model's derivatives at a declared time (a member of the continuous set).
 
-        `fraction` is the declared time (member of the continuous set) as a fraction of the horizon.
-        `rate(name, index=...)` returns the solved value of the derivative called `name`. Its
-        argument `index` is the index without the time: i for ``x[i, t]``.
+        `fraction` is the time as a fraction of the horizon. `rate(name, index=...)` returns the
+        solved value of a derivative; the index is (i,) for ``x[i, t]``.
         """
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
@@ -413,8 +398,7 @@ class ModelValues:
         """Return the model's current values, for a pickle.
 
         Functions of time, such as the rules of parameters, are stored as piecewise polynomials over
-        a range of times. The range contains the continuous set, and the horizons of all solves so
-        far. (A solve may have a horizon that differs from the continuous set.)
+        the continuous set and the horizons of all solves so far.
         """
         return self._source.snapshot(self._declared, self._widest)
 

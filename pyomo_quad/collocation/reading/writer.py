@@ -1,8 +1,7 @@
 """Translation of Pyomo expressions to CasADi expressions.
 
-A single time, the template time, is added to the continuous set. Equations over time are translated
-at the template time. The symbols in the translation stand for functions of time, so that the
-resulting expressions hold at all times.
+Equations over time are translated at the template time, an interior time added to the continuous
+set. The symbols in the translation stand for functions of time, so that it holds at all times.
 """
 
 from __future__ import annotations
@@ -201,11 +200,8 @@ class ExpressionWriter:
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
         """Return the CasADi expression of a Pyomo operation applied to translated arguments.
 
-        `node` is the operation, and `arguments` are the CasADi expressions of its arguments.
-
-        An operation without a smooth counterpart in CasADi is an error. The message names the
-        component that contains the operation. The calling method must have stored this name in the
-        attribute `_owner`.
+        An operation without a smooth counterpart in CasADi is an error. The calling method stores
+        the name for its message in the attribute `_owner`.
         """
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
@@ -231,13 +227,12 @@ class ExpressionWriter:
 def same_expression(first: Any, second: Any) -> bool:
     """Return whether two CasADi expressions are the same function of the same symbols.
 
-    Two expressions with different trees may still be the same function, because CasADi may have
-    simplified constants in only one of them. Such expressions are compared by their values at a few
-    points.
+    Expressions with different trees are compared by their values at a few points.
     """
     first, second = casadi.SX(first), casadi.SX(second)
     if casadi.is_equal(first, second, 1_000_000):
         return True
+    # CasADi may have simplified constants in only one of the trees.
     symbols = casadi.symvar(casadi.vertcat(first, second))
     both = casadi.Function("both", [casadi.vertcat(casadi.SX(0, 1), *symbols)], [first, second])
     points = np.random.default_rng(seed=0).uniform(0.1, 0.9, (_COMPARED, len(symbols)))
@@ -259,8 +254,7 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 class TemplateWriter:
     """Translator of a model's components to CasADi expressions, for all times.
 
-    The components are those of a working copy, a clone of the user's model with an additional time,
-    the template time. An equation at the template time serves for all times. Each named expression
+    An equation at the template time of the working copy serves for all times. Each named expression
     and integral is translated once.
 
     Parameters
@@ -279,11 +273,10 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Objects that compute data over time for which there is no CasADi expression. A `Schedule`
-        serves a rule that branches on time or looks up numbers by time. It gives the branch that
-        the rule takes, and the numbers in the branch. A `Phases` object serves a horizon that free
-        times (times that the solve determines) divide into phases. It gives the phase that contains
-        a time.
+        Objects that compute data over time for which there is no CasADi expression. There is a
+        `Schedule` for each rule that branches on time or looks up numbers by time. If free times
+        (times that the solve determines) divide the horizon into phases, there is also one
+        `Phases` object.
     """
 
     def __init__(
@@ -333,11 +326,8 @@ class TemplateWriter:
     ) -> PathEquation | None:
         """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
-        The result is None if the constraint is imposed at members of the continuous set only. There
-        are two such cases:
-
-        - The rule of the constraint skips all times between these members.
-        - The constraint has no rule, and no member at the template time.
+        The result is None for a constraint at declared times only: its rule skips all times between
+        them, or it has neither a rule nor a member at the template time.
 
         Parameters
         ----------
@@ -395,21 +385,14 @@ class TemplateWriter:
     def changed_bounds(self, slot: Slot) -> tuple[Any, Any] | None:
         """Return a variable's bounds for all times, if a user changed the bounds after declaration.
 
-        `slot` is the variable. It has one member at each declared time (time in the continuous
-        set), and a user can change the bounds of each member. There are three cases:
-
-        - One or more members keep their declared bounds. The result is None.
-        - All members have new bounds, which are equal. For an algebraic variable, or a state with a
-          fixed member, the new bounds apply at all times and are the result. For any other state,
-          an error is raised, because it is unclear whether they apply between the declared times.
-        - All members have new bounds, which differ. For a state without a fixed member, the new
-          bounds apply at the declared times only, and the result is None. For any other variable,
-          an error is raised.
-
         Returns
         -------
         (lower, upper) or None
-            Bounds that apply at all times, or None.
+            Bounds that apply at all times. None if any changed bounds apply at single declared
+            times only. This is so in two cases:
+
+            - A member of the variable keeps its declared bounds.
+            - The variable is a state, no member is fixed, and the members' bounds differ.
 
         Raises
         ------
@@ -421,6 +404,8 @@ class TemplateWriter:
             return None
         is_same = all(m.bounds == members[0].bounds for m in members)
         is_state = slot.rate is not None and not any(m.fixed for m in members)
+        # For a state without a fixed member, it is unclear whether equal bounds apply between the
+        # declared times.
         if is_same and not is_state:
             return members[0].lower, members[0].upper
         if is_state and not is_same:
@@ -456,9 +441,7 @@ class TemplateWriter:
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
         """Return the parts of a rule's result as functions of time, and whether it is an equality.
 
-        The parts are lower bound, body and upper bound of a constraint, or a single expression. The
-        rule is called once with a symbol for time. If the rule needs its time as a number, for
-        example in a comparison, the rule is called at many times instead.
+        The parts are lower bound, body and upper bound of a constraint, or a single expression.
 
         Parameters
         ----------
@@ -479,7 +462,9 @@ class TemplateWriter:
         if statement is not None and not symbol.is_read:
             parts = zip(statement.parts, _ABSENT, strict=False)
             return [self._part(p, name, absent) for p, absent in parts], statement.is_equality
-        # If times are free, a rule may depend only on the declared times before and after its time.
+        # The rule needs its time as a number, for example in a comparison, and is called at many
+        # times. If times are free, it may depend only on the declared times before and after its
+        # time.
         place = self._within if self.symbols.clock.is_free else float
         schedule = Schedule(
             name, partial(self._statement_at, name, say), self.copy.declared_times, place
@@ -533,13 +518,8 @@ class TemplateWriter:
     def at_instant(self, data: Any) -> Any:
         """Return a constraint's member at a declared time, with the physical time as a symbol.
 
-        A declared time is a member of the continuous set. Its physical time may be free (determined
-        by the solve). For example, the constraint with the rule ``m.x[t] == t`` has a number on the
-        right-hand side in the user's model. In the result, a symbol for the physical time replaces
-        the number.
-
-        `data` is the member, a Pyomo data object. If its physical time is not free, the member is
-        returned unchanged.
+        The symbol replaces the number in a rule such as ``m.x[t] == t``. The member is returned
+        unchanged if it has no rule, or if its physical time depends on no free time.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -565,17 +545,8 @@ class TemplateWriter:
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
         """Return the values of time-dependent data, just before or just after a given time.
 
-        The data have no CasADi expression of time. In the equations, symbols stand for them, and
-        Python evaluates their values. There are two kinds of data:
-
-        - For a rule that branches on time, the data are the branch that the rule takes, and the
-          numbers in the branch.
-        - For a horizon that free times (times that the solve determines) divide into phases, the
-          data are one indicator per phase: 1 during the phase and 0 elsewhere.
-
-        `time` is a time in the range of the continuous set. `side` is -1 for values just before the
-        time, 1 for values just after it. The result maps the name of each symbol to (symbol,
-        value).
+        The data are those of all `schedules`. `side` is -1 before and 1 after `time`. The result
+        maps the name of each symbol to (symbol, value).
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -589,10 +560,7 @@ class TemplateWriter:
     def _within(self, time: float) -> float:
         """Return the midpoint between the declared times before and after a given time.
 
-        Declared times are the members of the continuous set. `time` is the given time. This method
-        serves models with free times (times that the solve determines). In such a model, the result
-        of a rule that branches on time may change at declared times only. The rule is therefore
-        called with the midpoint instead of `time`.
+        Declared times are the members of the continuous set.
         """
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
@@ -601,20 +569,15 @@ class TemplateWriter:
     def _part(self, part: Any, name: str, absent: Any) -> Any:
         """Return the CasADi expression of a part of a rule's result: a bound, or a body.
 
-        `part` is the Pyomo expression. `absent` is the result for a part that is missing (None),
-        for example infinity for an upper bound. `name` is the name of the component.
+        `absent` is the result for a missing part (None), for example infinity for an upper bound.
         """
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
         """Translate a Pyomo expression to CasADi, with given replacements of its numbers.
 
-        At different times a rule may return expressions that differ only in their numbers. With a
-        symbol in place of each number that changes, one CasADi expression serves all these times.
-
-        `part` is the Pyomo expression. `numbers` yields the replacement of each number, in the
-        order in which the numbers appear: a symbol, or the number itself if it does not change.
-        `name` is the name of the component, for messages.
+        `numbers` yields the replacements in the order in which the numbers appear: a symbol, or the
+        number itself if it does not change over time.
         """
         if part.__class__ in native_types:
             return next(numbers)
@@ -626,9 +589,8 @@ class TemplateWriter:
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `name` is the full name of the component. `index` is the index of its member without the
-        time: (i,) for ``x[i, t]``. The result is None if the model has no component over time
-        called `name`.
+        `index` is the index without the time: (i,) for ``x[i, t]``. The result is None if the model
+        has no component over time called `name`.
 
         Raises
         ------
@@ -643,9 +605,7 @@ class TemplateWriter:
     def components_over_time(self) -> Iterator[tuple[str, tuple[Any, ...]]]:
         """Yield the members of all variables, parameters and expressions over time.
 
-        Each item is (name of the component, index without time). The index without time is (i,) for
-        ``x[i, t]``. The method `over_time` takes the two values of an item, and returns the CasADi
-        expression of the member.
+        Each item is (name of the component, index without time), the arguments of `over_time`.
         """
         kinds = (Var, DerivativeVar, Param, Expression)
         for component in self.copy.model.component_objects(kinds, descend_into=True):
@@ -658,9 +618,7 @@ class TemplateWriter:
     def write_at_template(self, component: Any, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `component` is the Pyomo component. `index` is the index without the time: (i,) for ``x[i,
-        t]``. The member at the template time (the added interior time at which equations are read)
-        is translated.
+        `index` is the index without the time: (i,) for ``x[i, t]``.
         """
         position = self.addresses.join(component, index, self.copy.template_time)
         return casadi.SX(self.write(component[position], component.name, over_time=True))
@@ -686,10 +644,8 @@ class TemplateWriter:
     def named(self, expression: Any) -> Any:
         """Return the replacement of a named Pyomo expression or integral, in CasADi symbols.
 
-        `expression` is the named expression or integral, a Pyomo data object. An integral is
-        replaced by its symbol. An expression over time at the template time (the added interior
-        time at which equations are read) is replaced by the result of its rule. For any other named
-        expression, the result is None, and its definition is translated instead.
+        It is the symbol of an integral, or the result of the rule of an expression at the template
+        time. None means that the definition is translated instead.
         """
         component = expression.parent_component()
         if component is None:
@@ -729,18 +685,15 @@ class TemplateWriter:
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
         """Return a parameter over time as a differentiable CasADi expression of time.
 
-        This method is used if times are free (determined by the solve). The value of the parameter
-        then depends on the free times, and its derivative with respect to time is required.
-
-        `data` is a member of the parameter, a Pyomo data object. `address` has the member's
-        component, index and time. For a member at a declared time (member of the continuous set),
-        the result is the value at that time. A parameter without a rule, or without time, is
-        returned as its symbol.
+        A member at a declared time gives the value at that time. A parameter without a rule, or
+        without time, is returned as its symbol.
         """
         component = data.parent_component()
         rule = rule_of(component)
         if rule is None or address.time is None:
             return self.symbols.leaf(data)
+        # The value depends on the free times, so that its derivative with respect to time is
+        # required.
         over_time = casadi.SX(self._expression(component, address.index, rule))
         if address.time == self.copy.template_time:
             return over_time
@@ -779,9 +732,7 @@ class TemplateWriter:
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
     """Return the result of calling a rule with a symbol in place of time; None if that fails.
 
-    `say` calls the rule with a time, here with `symbol`. The result is a `Statement`. For a
-    constraint it holds a lower bound, a body and an upper bound. For a named Pyomo expression it
-    holds a single Pyomo expression.
+    `say` calls the rule with a time, here with `symbol`.
     """
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
@@ -794,13 +745,10 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
     """Raise an error for a rule that uses its time as a number in a model with free times.
 
-    Free times are times that the solve determines. In a model with free times, physical times are
-    unknown when the rules are called. A rule may compare its time with declared times (members of
-    the continuous set). Every other use of its time as a number is an error.
-
-    `name` is the name of the component with the rule. `error` is the exception that the rule
-    raised, None if it raised none.
+    `error` is the exception that the rule raised, None if it raised none.
     """
+    # Physical times are unknown when the rules are called. Only comparisons with declared times are
+    # allowed.
     told = "" if error is None else f" ({raised(error)})"
     raise TranscriptionError(
         f"{name}: its rule reads its time as a number, which changes with a free time{told}; "
@@ -809,13 +757,11 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Return a rule's result with a Pyomo parameter in place of the symbol for time.
+    """Return a rule's result with the Pyomo parameter for physical time in place of a `TimeSymbol`.
 
-    `statement` is the result of a rule that was called with a symbol for time. Its parts are the
-    lower bound, body and upper bound of a constraint, or a single expression. A part may be the
-    symbol itself, for example a bound that equals the time. The Pyomo parameter for physical time
-    replaces this part, because the symbol is no Pyomo object. Other parts are unchanged.
+    A part of `statement` may be the symbol itself, for example a bound that equals the time.
     """
+    # The symbol is no Pyomo object.
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))
 

@@ -1,7 +1,9 @@
 """Active limits, and the elements in which limits become active or inactive (junctions).
 
 A limit counts as active where its scaled multiplier is larger than its scaled slack (the distance
-to the limit): see docs/theory/refinement.md, eq. (7).
+to the limit): see docs/theory/refinement.md, eq. (7). Arrays of limits over time have this order:
+lower bounds of states and algebraic variables, upper bounds of these variables, lower sides of path
+equations, and upper sides of path equations.
 """
 
 from __future__ import annotations
@@ -38,26 +40,20 @@ def junction_elements(solution: Solution) -> frozenset[int]:
 def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit on controls switches.
 
-    A limit switches where it becomes active or inactive. There are two kinds of limits:
-
-    - A limit on controls contains algebraic variables only.
-    - All other limits contain a state or a rate (time derivative of a state). An element in or
-      beside which such a limit switches is left out, because a costate may jump there.
-
-    Some element boundaries are required by the problem itself, for example where a parameter jumps.
-    Switches at these boundaries are not counted.
+    A limit on controls contains algebraic variables only. It switches where it becomes active or
+    inactive. Switches at element boundaries that the problem itself requires are not counted. An
+    element is left out if a limit on a state or rate also switches in or beside it.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
+    # A costate may jump where a limit on a state or a rate (time derivative of a state) switches.
     return _changing(solution, chosen, active) - _changing(solution, ~chosen, active)
 
 
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
     """Return for each limit over time whether it limits algebraic variables alone.
 
-    The other limits involve a state or a rate (derivative of a state). The result has shape
-    (n_limits,). The limits are, in this order: lower bounds of states and algebraic variables,
-    upper bounds of these variables, lower sides of path equations, and upper sides of path
-    equations.
+    The other limits involve a state or a rate (derivative of a state). The shape is (n_limits,);
+    the module's docstring gives the order of the limits.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -91,14 +87,10 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each breakpoint (element boundary) of the mesh whether the problem requires it.
+    """Return for each element boundary of the mesh whether the problem requires it.
 
-    The result has shape (n_elements + 1,). Required breakpoints are:
-
-    - the start and end of the horizon;
-    - the times of constraints at a single time;
-    - the times at which a variable is fixed;
-    - the times at which a parameter jumps.
+    The start and the end of the horizon are required. So is every time at which a condition is
+    imposed, a variable is fixed, or a parameter jumps. The shape is (n_elements + 1,).
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
@@ -108,28 +100,19 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
     """Return whether each limit over time is active at each collocation point.
 
-    A limit is active where its scaled multiplier is larger than its scaled slack (distance to the
-    limit). At an interior-point solution, the product of multiplier and slack is the same small
-    number for every limit. A large multiplier therefore means a small slack.
-
-    The result has shape (n_points, n_limits). The limits are, in this order: lower bounds of states
-    and algebraic variables, upper bounds of these variables, lower sides of path equations, and
-    upper sides of path equations.
+    The result has shape (n_points, n_limits). The module's docstring gives the order of the limits.
     """
     pulls, slacks = _pulls_and_slacks(solution)
+    # At an interior-point solution, the product of multiplier and slack is the same small number
+    # for every limit. A large multiplier therefore means a small slack.
     return np.asarray(pulls > slacks)
 
 
 def kinks(solution: Solution) -> FloatArray:
     """Return the times of kinks, at which an algebraic variable reaches or leaves a limit.
 
-    At a kink the variable is continuous and its slope jumps. The kink lies between two neighbouring
-    collocation points: the limit is active at one of them and inactive at the other. The slack
-    (distance to the limit) is extrapolated from three points at which the limit is inactive. The
-    kink is at the zero of the extrapolated slack.
-
-    Jumps of the variable from or to a limit are left out. A jump is assumed if the slack at the
-    inactive point is large, or if the extrapolated slack has no zero between the two points.
+    At a kink the variable is continuous and its slope jumps. The slack is extrapolated to zero: see
+    docs/theory/refinement.md, "Junctions".
 
     Returns
     -------
@@ -146,6 +129,8 @@ def kinks(solution: Solution) -> FloatArray:
         if free.min() < 0 or free.max() >= times.size or active[free, limit].any():
             continue
         time = _zero(times[free], slacks[free, limit])
+        # A large slack at the inactive point, or no zero between the two points, means that the
+        # variable jumps from or to the limit.
         is_small = slacks[first, limit] <= JUMP_SHARE * slacks[:, limit].max()
         if is_small and times[last] <= time <= times[last + 1]:
             found.append(time)
@@ -155,24 +140,21 @@ def kinks(solution: Solution) -> FloatArray:
 def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a positive function reaches zero, by inverse extrapolation.
 
-    A polynomial gives the time as a function of the value, and is evaluated at the value 0.
-    `values` are samples of the function at the times `times`. All samples are on one side of the
-    zero, and the nearest is first. Their values must rise from sample to sample; otherwise the
-    result is NaN.
+    `values` are samples at the times `times` on one side of the zero, the nearest first. If they do
+    not rise from sample to sample, the result is NaN.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan
+    # A polynomial gives the time as a function of the value. These weights evaluate it at the value
+    # 0.
     weights = [math.prod(b / (b - a) for b in np.delete(values, k)) for k, a in enumerate(values)]
     return float(weights @ times)
 
 
 def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the multipliers and the slacks of all limits over time.
+    """Return the multipliers and the slacks (distances to the limit) of all limits over time.
 
-    The slack is the distance of the limited value from its limit. A limit is active where its
-    multiplier is larger than its slack. The limits are, in this order: lower bounds of states and
-    algebraic variables, upper bounds of these variables, lower sides of path equations, and upper
-    sides of path equations.
+    The module's docstring gives the order of the limits.
 
     Returns
     -------

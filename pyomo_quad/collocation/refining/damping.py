@@ -1,10 +1,9 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
-A control enters linearly if the equations and the objective depend linearly on it. The objective
-then hardly depends on the value of the control at a single collocation point. Without damping, the
-control oscillates from point to point (chatter), and changes from mesh to mesh. Damping is a
-penalty on the distance between the control and the smoothed control of the previous mesh. See
-docs/theory/refinement.md, eq. (9).
+If equations and objective depend linearly on a control, the objective hardly depends on its value
+at a single collocation point. Without damping, the control oscillates from point to point
+(chatter), and changes from mesh to mesh. Damping is a penalty on the distance from the smoothed
+control of the previous mesh: see docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -34,9 +33,8 @@ _FAR = 1e-2
 class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
-    The controls are smoothed in one of two ways. The usual smoothed controls are straight lines
-    between the means of the controls over each element. If the objective hardly changes from mesh
-    to mesh any more, the smoothed controls are polynomials of low degree in each element.
+    A smoothed control consists of straight lines between its means over the elements. If `is_still`
+    is True, it is instead a polynomial of low degree in each element.
 
     Attributes
     ----------
@@ -65,30 +63,20 @@ class Damping:
 
     @property
     def start_distance(self) -> StartDistance:
-        """Expected distance between warm start and solution in the solve on the next mesh.
+        """Expected distance between the warm start and the solution on the next mesh.
 
-        The warm start is the solution on the previous mesh. The result is one of three values:
-
-        - `StartDistance.NONE` if the objective hardly changes from mesh to mesh any more (attribute
-          `is_still`);
-        - otherwise `StartDistance.FAR` if the error of the previous solution is large;
-        - otherwise `StartDistance.SHORT`.
-
-        Ipopt's initial barrier parameter is chosen according to this distance.
+        It is `NONE` if `is_still`, else `FAR` if the error of the previous solution is large, else
+        `SHORT`. Ipopt's settings depend on it.
         """
         if self.is_still:
             return StartDistance.NONE
         return StartDistance.FAR if self.solution.error_estimate >= _FAR else StartDistance.SHORT
 
     def firmer(self, factor: float, gap: float) -> Damping:
-        """Return a stronger damping, with penalties multiplied by `factor`.
+        """Return a stronger damping, with penalties multiplied by `factor` and `is_still` set.
 
-        The new damping differs in two more attributes:
-
-        - `is_still` is true: the previous controls are smoothed by polynomials in each element.
-        - `gap` is the larger of two numbers: the present `gap`, and the argument `gap` times the
-          nominal magnitude of the objective. It is the complementarity gap at which the next solve
-          ends: the sum over all limits of multiplier times distance to the limit.
+        The attribute `gap` of the result is ``max(self.gap, gap * nominal)``, where ``nominal`` is
+        the nominal magnitude of the objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -110,11 +98,8 @@ class Damping:
     def _near(self, fractions: FloatArray) -> FloatArray:
         """Return the smoothed controls of the previous mesh, towards which controls are damped.
 
-        Usually, the smoothed controls are straight lines between the means of the controls over
-        each element. If `is_still` is true (the objective hardly changes from mesh to mesh any
-        more), they are polynomials of low degree in each element. These are clipped to the limits
-        of the controls. `fractions` are the times of the result as fractions of the horizon. The
-        result has shape (n_fractions, n_controls).
+        `fractions` are times as fractions of the horizon. The result has shape (n_fractions,
+        n_controls).
         """
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
@@ -175,21 +160,16 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping of a solution's controls for the solve on the next mesh.
 
-    Damping is a penalty on the distance from the smoothed controls of the solution. It prevents
-    controls from oscillating from point to point (chatter). A control is damped if it is bounded
-    and enters the problem nearly linearly at one or more collocation points. It enters nearly
-    linearly where the second derivative of the Lagrangian with respect to the control is small.
-    This may hold at some points only: a cost with a smoothed corner has curvature at the corner,
-    and is linear beside it. The result can also hold a complementarity gap at which Ipopt is to
-    stop.
+    A control is damped if it is bounded, and the second derivative of the Lagrangian with respect
+    to it is small at one or more collocation points.
 
     Parameters
     ----------
     solution : Solution
         Solution on the previous mesh.
     weight : float
-        Size of the penalty. It is the penalty on a control that always differs from the smoothed
-        control by its whole range, as a fraction of the objective.
+        Size of the penalty. It is ``weight * nominal magnitude of the objective`` for a control
+        that always differs from the smoothed control by its whole range.
     gap : float, optional
         Complementarity gap at which Ipopt is to stop on the next mesh, as a fraction of the
         objective; zero for Ipopt's usual end. The gap is the sum over all limits of multiplier
@@ -209,6 +189,8 @@ def damping_of(
     prices, controls = np.zeros(width.size), np.zeros(0, dtype=np.intp)
     if weight > 0.0 and np.any(is_bounded):
         prices[is_bounded] = 2.0 * weight * solution.nominal_objective / width[is_bounded] ** 2
+        # Where the second derivative is small, the control enters nearly linearly. A cost with a
+        # smoothed corner has curvature at the corner only, and is linear beside it.
         controls = np.flatnonzero(is_bounded & (_least_curvatures(solution) < prices))
     if controls.size == 0 and gap == 0.0:
         return None

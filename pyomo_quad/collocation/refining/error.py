@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     """Return how much the state errors of each element change the final states.
 
-    The controls are functions of time alone (open loop), and do not correct the errors. The
-    linearised equations propagate each error from the end of its element to the end of the horizon.
+    The linearised equations propagate each error to the end of the horizon, without feedback by the
+    controls (open loop): see docs/theory/refinement.md, eq. (3).
 
     Parameters
     ----------
@@ -147,10 +147,9 @@ class Allowance:
 class ErrorEstimate:
     """Estimated relative errors of a solution, element by element.
 
-    The errors of the elements are compared with the tolerance, which applies to the whole horizon.
-    Some kinds of error add up over the elements. They are therefore extrapolated to the whole
-    horizon. The extrapolated error of an element is the smaller of two numbers: its error times the
-    number of elements, and the sum of the errors of all elements.
+    The tolerance applies to the whole horizon. Errors that add up over n elements are therefore
+    extrapolated: ``min(n * error, sum of the errors of all elements)``. See
+    docs/theory/refinement.md, eq. (2).
 
     Attributes
     ----------
@@ -224,12 +223,8 @@ class ErrorEstimate:
     def of_integrals(self) -> float:
         """Largest error of the objective and of the integrals, over all elements.
 
-        Three kinds of error count:
-
-        - the effect of state errors on the objective;
-        - the errors of the quadrature;
-        - the increase of the objective by bounds that are imposed between the collocation points.
-          These are stricter than the bounds of the problem.
+        It covers the effect of state errors on the objective, the errors of the quadrature, and the
+        cost of the bounds between the collocation points.
         """
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
@@ -249,13 +244,8 @@ def estimate_error(
 ) -> ErrorEstimate:
     """Estimate the errors of a solution, element by element.
 
-    The class `ErrorEstimate` describes the kinds of error, such as the errors of the states and the
-    violations of limits between the collocation points.
-
-    To estimate the errors of integrals, every integral is computed again by Gauss' rule on panels
-    of each element. The quadrature at the collocation points may be inaccurate even if the
-    polynomials satisfy the differential equations. The integrand may have a higher degree, or a
-    corner between the points.
+    `ErrorEstimate` describes the kinds of error, and docs/theory/refinement.md, "Error estimation",
+    the estimates.
 
     Parameters
     ----------
@@ -326,10 +316,10 @@ _LEAST_UNIT = 1e-4
 def _unit(solution: Solution) -> float:
     """Return the magnitude by which errors of the objective are divided to make them relative.
 
-    The magnitude has the unit of the objective. It is the largest of three numbers: abs(objective),
-    min(1, s), and 1e-4 s. Here 1 / s is the factor by which the nonlinear program scales the
-    objective. The last two numbers avoid a division by nearly zero.
+    It is max(abs(objective), min(1, s), 1e-4 s), in the unit of the objective. Here 1 / s is the
+    factor by which the nonlinear program scales the objective.
     """
+    # The terms min(1, s) and 1e-4 s avoid a division by nearly zero.
     scaled = 1.0 / solution.scaling.objective
     return max(abs(solution.objective), min(1.0, scaled), _LEAST_UNIT * scaled)
 
@@ -337,9 +327,8 @@ def _unit(solution: Solution) -> float:
 def _gap(solution: Solution) -> float:
     """Return the complementarity gap that Ipopt's barrier leaves, relative to the objective.
 
-    The gap is the sum, over all limits, of multiplier times distance to the limit. The objective of
-    a convex problem exceeds its optimum by at most the gap. The gap is divided by the magnitude of
-    the objective, or by a small reference magnitude if the objective is near zero.
+    `barrier_gap` defines the gap. If the objective is near zero, a small reference magnitude
+    replaces it.
     """
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
@@ -379,11 +368,10 @@ class _Samples:
 
 @lru_cache(maxsize=64)
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
-    """Return points and weights of a quadrature rule with four panels in each element.
+    """Return points and weights of a quadrature rule with four equal panels in the element [0, 1].
 
-    `degree` is the degree of the element. The element goes from 0 to 1, and is divided into four
-    panels of equal width. Each panel has a Gauss rule with degree + 1 points. The element's right
-    end is added as the last point, with weight 0.
+    Each panel has a Gauss rule with `degree` + 1 points. The element's right end is the last point,
+    with weight 0.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
@@ -392,21 +380,19 @@ def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
 
 
 def densely_sampled(solution: Solution) -> _Samples:
-    """Evaluate the path constraints of a solution at many times between the collocation points.
+    """Evaluate a solution's path constraints at many times between the collocation points.
 
-    The polynomials may violate a limit between the points, and the samples show such violations. An
-    element of a given degree has 4 (degree + 1) + 1 samples. The result holds the sampled variables
-    and the values of the path constraints.
+    The result has the variables and the values of the constraints. An element of a given degree has
+    4 (degree + 1) + 1 samples.
     """
     (samples,) = _sampled(solution, _dense_places)
     return samples
 
 
 def _dense_places(degree: int) -> FloatArray:
-    """Return the places at which limits are checked in an element, as numbers from 0 to 1.
+    """Return the places at which limits are checked in an element, from just after 0 to 1.
 
-    0 is the start of the element and 1 its end. The start itself belongs to the previous element.
-    The first place is therefore just after it. `degree` is the degree of the element.
+    `degree` is the degree of the element, which extends from 0 to 1.
     """
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
@@ -421,31 +407,23 @@ def _finer_places(degree: int) -> FloatArray:
 
 
 def _panelled_places(degree: int) -> FloatArray:
-    """Return the points of the finer quadrature rule in an element that goes from 0 to 1.
-
-    The finer rule divides the element into panels with a Gauss rule on each panel. It serves to
-    estimate the errors of integrals. `degree` is the degree of the element.
-    """
+    """Return the points of the finer quadrature rule from `_panelled` in an element from 0 to 1."""
     return _panelled(degree)[0]
 
 
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
-    """Return the state errors, with algebraic variables taken from their polynomials.
+    """Return the state errors if algebraic variables are evaluated by their polynomials.
 
-    An equation may define an algebraic variable. For example, the algebraic equation ``r + r^3 =
-    f`` defines r, which enters the differential equation ``x' = r``. Between the collocation
-    points, such a variable has two different values: the value that solves the equation, and the
-    value of the variable's polynomial.
-
-    `estimate_error` takes the value that solves the equation, and does not see an error of the
-    polynomial. This function takes the value of the polynomial, so that its result includes the
-    error of the polynomial.
+    If an equation defines an algebraic variable, `estimate_error` evaluates the variable by this
+    equation instead. It does not see an error of the polynomial between the collocation points.
 
     Returns
     -------
     ndarray, shape (n_elements, n_states)
         Errors relative to the states' magnitudes.
     """
+    # For example, ``r + r^3 = f`` defines r, which enters ``x' = r``. Between the collocation
+    # points, r has two values: the solution of the equation, and the value of its polynomial.
     (finer,) = _sampled(solution, _finer_places, is_defined=False)
     slopes = rate_corrections(solution.program, finer.variables, finer.data, finer.rows)
     return _relative(solution, _state_corrections(solution, slopes))
@@ -534,8 +512,8 @@ def _clipped(
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
     """Return the errors of the states in each element, integrated from the errors of the rates.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon. The
-    integration begins with an error of zero at the left end of each element.
+    Rates are derivatives with respect to the fraction of the horizon. The error is zero at the left
+    end of each element: see docs/theory/refinement.md, eq. (1).
 
     Parameters
     ----------
@@ -564,13 +542,7 @@ def _clipping_corrections(
 ) -> dict[int, FloatArray]:
     """Return, by element, the change of the states if controls are clipped to their limits.
 
-    A control of the solution may exceed its limits between the collocation points. A simulation
-    clips the control there: it sets the control to the limit. Clipping changes the rates. The
-    change of the rates is integrated over the element, which gives the change of the states.
-
-    The integral is computed over the dense samples by the trapezoidal rule, because a clipped
-    control is no polynomial. If the change of the rates has a peak at an element's end, the
-    trapezoidal rule overestimates the integral.
+    A simulation clips controls that exceed their limits between the collocation points.
 
     Parameters
     ----------
@@ -594,6 +566,8 @@ def _clipping_corrections(
     )
     for e in np.flatnonzero(is_clipped).tolist():
         places, first = _dense_places(mesh.degrees[e]), clipped.first_of_element[e]
+        # A clipped control is no polynomial, so the trapezoidal rule is used. It overestimates the
+        # integral of a change of the rates with a peak at an element's end.
         found[e] = mesh.widths[e] * np.trapezoid(cut[first : first + places.size], places, axis=0)
     return found
 
@@ -620,12 +594,8 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    The effect of an element is the magnitude of the scalar product of the costates and the errors
-    of the states at the element's end. It is divided by the nominal magnitude of the objective. The
-    function `_of_all` then extrapolates it to the whole horizon.
-
-    `moved` has one array per element from `_state_corrections`: the errors of the states, shape
-    (degree + 1, n_states). The last row belongs to the element's end.
+    `moved` comes from `_state_corrections`. The effect is relative to the objective's nominal
+    magnitude, and extrapolated to the whole horizon: see docs/theory/refinement.md, eq. (2).
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -636,14 +606,10 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 
 
 def _restraints(solution: Solution) -> FloatArray:
-    """Return the cost of the bounds that are imposed between the collocation points.
+    """Return the relative cost of bounds between the collocation points, shape (n_elements,).
 
-    The cost is the increase of the objective by these bounds, divided by the nominal magnitude of
-    the objective. The result has the shape (n_elements,). It is zero if no bounds are imposed
-    between the points. The function `_of_all` extrapolates each entry to the whole horizon.
-
-    The cost may use up only half of the tolerance. It is therefore doubled, so that the result can
-    be compared with the whole tolerance.
+    The cost is divided by the nominal magnitude of the objective and by `_RESTRAINT_SHARE`, and
+    extrapolated to the whole horizon.
     """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
@@ -651,13 +617,10 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Extrapolate the error of each element to the whole horizon, for errors that add up.
+    """Return for each element ``min(n * error, sum of the errors of all n elements)``.
 
-    The extrapolated error of an element is ``min(n * error, sum of the errors of all elements)``,
-    where n is the number of elements. It can be compared with the tolerance for the whole horizon.
-
-    `shares` are the errors of the elements, with one entry per element along the first axis. The
-    result has the shape of `shares`.
+    This extrapolates the error of an element to the whole horizon, if the errors of the elements
+    add up. `shares` has the errors, with one entry per element along the first axis.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -665,14 +628,8 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    The quadrature error is the difference between the quadrature at the collocation points and a
-    finer quadrature. It is computed for the objective and for all integrals. The error of the
-    objective is divided by the nominal magnitude of the objective, and the error of an integral by
-    max(1, abs(integral)). Each error is extrapolated to the whole horizon by the function
-    `_of_all`.
-
-    `solution` is the solution on one mesh. `samples` has the integrands at the points of the finer
-    quadrature: a Gauss rule on four panels of each element, from the function `_panelled`.
+    `samples` has the integrands at the points of the finer quadrature rule from `_panelled`. The
+    errors are extrapolated to the whole horizon.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -694,15 +651,13 @@ def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
 def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
     """Return the values of all integrands at sample times, shape (n_samples, n_integrals).
 
-    `samples` has the variables of a solution at the sample times. `program` is the nonlinear
-    program of the solution. An integrand may be undefined where a variable is outside its limits.
-    If any value is not finite, all integrands are evaluated again, with the variables clipped to
-    their limits. A value that is then still undefined is returned as infinite.
+    A value that is undefined even with the variables clipped to their limits is infinite.
     """
     compiled, n = program.compiled, program.layout.n_states
     densities = samples.rows[:, compiled.n_equations :]
     if np.all(np.isfinite(densities)):
         return densities
+    # An integrand may be undefined where a variable is outside its limits.
     count = len(samples.variables)
     limits = MappedFunction(compiled.limits_over_time, count)(samples.data)
     low, high = (side[:, : n + program.layout.n_algebraics] for side in limits)
@@ -716,10 +671,8 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
     """Return the part of the error of the final states that is assigned to each element.
 
-    Only the final state with the largest relative error counts. Each element contributes to this
-    error. The part of an element is ``error * contribution / largest contribution``. The element
-    with the largest contribution is thus assigned the whole error. The mesh refinement refines the
-    elements with large parts.
+    Only the final state with the largest relative error counts. The part of an element is ``error *
+    contribution / largest contribution``.
 
     Parameters
     ----------
@@ -739,6 +692,8 @@ def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> Float
         return np.zeros(solution.mesh.elements)
     misses = final_misses(solution, np.array([m[-1] for m in moved]))
     worst = misses[:, misses.sum(axis=0).argmax()]
+    # The element with the largest contribution is assigned the whole error. The refinement thus
+    # refines it first.
     return np.asarray(weight * worst.sum() * worst / worst.max(initial=1e-300))
 
 
@@ -747,15 +702,14 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    Violations of different kinds are measured differently:
+    The measure of a violation is:
 
-    - Equation: its relative residual, times `weight`.
-    - Limit on controls alone: the resulting change of the states within the element. It is
-      estimated as the violation times the width of the element.
-    - Any other limit: the effect of the violation on the objective. It is estimated from the
-      multipliers of the bounds on states.
+    - for an equation: its relative residual times `weight`;
+    - for a limit on controls alone: the violation times the width of the element;
+    - for any other limit: the violation times the multipliers of the bounds on states, relative to
+      the objective.
 
-    If a limit is violated by more than its tolerance, the violation itself is the measure.
+    If a limit is violated by more than its tolerance in `allowance`, the violation itself counts.
 
     Parameters
     ----------
@@ -768,14 +722,14 @@ def _breaches(
         limits.
     weight : float
         Factor on the relative residuals of equations. It is 1 if `allowance` has no tolerance on
-        the states. Otherwise, the factor is smaller for a larger tolerance on the states, which
-        allows larger residuals.
+        the states. Otherwise, it is the smaller, the larger this tolerance is.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
         np.maximum.reduceat(worst, samples.first_of_element)
         for worst in violations(solution.program, samples)
     )
+    # Violation times width estimates the change of the states within the element.
     most = (1.0 + _ROUNDING) * allowance.control_breach
     moved = np.where(controls > most, controls, controls * mesh.widths)
     earned = limits * _prices(solution) / solution.nominal_objective
@@ -786,9 +740,8 @@ def _breaches(
 def _prices(solution: Solution) -> FloatArray:
     """Return for each element the sum of the multipliers of all bounds on states.
 
-    A multiplier is the change of the objective per unit of a bound. The product of the sum and the
-    violation of a limit therefore estimates the effect of the violation on the objective. The
-    result has shape (n_elements,).
+    The sum times the violation of a limit estimates the effect of the violation on the objective.
+    The shape is (n_elements,).
     """
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]

@@ -1,18 +1,13 @@
 """Tests of a solution by Pontryagin's principle: better controls, and singular arcs.
 
-Derivations: see docs/theory/refinement.md, eqs. (10) and (11).
-
-A solution of the nonlinear program is a local minimum: a small change of a control does not reduce
-the objective. If the Hamiltonian has two local minima with respect to the control, a large change
-of the control may reduce the objective. The optimal control switches from one minimum to the other
-at a certain time. On the first mesh the solve may place this switch at a wrong time. The switch
-then stays there on all finer meshes. Mesh refinement does not reveal the error, but Pontryagin's
-principle does.
+A solution of the nonlinear program is a local minimum. If the Hamiltonian has two local minima in a
+control, a switch between them may stay where the first mesh put it. Mesh refinement does not reveal
+this error.
 
 On a singular arc, the second derivative of the Hamiltonian with respect to the control is zero. The
-objective then changes only with a high power of a deviation from the optimal states. The states may
-therefore be inaccurate although the error of the objective is small. Their inaccuracy is estimated
-from the order of the singular arc.
+objective then changes only with a high power of a deviation of the states. The states may therefore
+be inaccurate although the objective is accurate. Derivations: see docs/theory/refinement.md, eqs.
+(10) and (11).
 """
 
 from __future__ import annotations
@@ -110,10 +105,8 @@ def _valleys(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
 
-    The first trial values form a grid between the bounds of the control. The Hamiltonian may have a
-    local minimum on the grid. A parabola is then put through its values at the minimum and at both
-    neighbours. The lowest point of the parabola is a further trial value. The function
-    `improved_controls` looks for the least Hamiltonian among all trial values.
+    The first values form a grid between the bounds. A parabola through each local minimum on the
+    grid and its neighbours gives a further value, the lowest point.
 
     Parameters
     ----------
@@ -145,17 +138,8 @@ def _valleys(
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
     """Return the free controls for which the Hamiltonian may have several local minima.
 
-    A free control is a bounded algebraic variable that appears in no algebraic equation. It can
-    therefore be changed alone.
-
-    Between two minima, the second derivative of the Hamiltonian with respect to the control is
-    negative for some values of the control. The second derivative is evaluated at all collocation
-    points, for several values between the bounds of the control. A control is included if any of
-    these second derivatives is negative.
-
-    A control is also included if an equation contains a product of a rate (time derivative of a
-    state) and a function of the control. The computed second derivative is not meaningful for such
-    a control, because it holds the rates constant.
+    A free control is a bounded algebraic variable that appears in no algebraic equation, so that it
+    can be changed alone.
 
     Parameters
     ----------
@@ -178,10 +162,15 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
     least = np.full(free.size, np.inf)
     # Other algebraic variables may have no bounds.
     lowest, width = lower[:, free], (upper - lower)[:, free]
+    # Between two minima, the second derivative with respect to the control is negative for some
+    # values of the control.
     for share in np.linspace(0.0, 1.0, _TRIED):
         z[layout.algebraic_columns[:, free]] = lowest + share * width
         curvatures = program.path_curvatures(z, solution.multipliers.rows)[:, first + free]
         least = np.minimum(least, np.nan_to_num(curvatures, nan=-np.inf).min(axis=0))
+    # The second derivative holds the rates constant. It is not meaningful for a control if an
+    # equation contains a product of a rate and a function of the control. Such a control is
+    # included.
     rows, columns = compiled.path.hessian_rows, compiled.path.hessian_columns
     beside_rates = rows[columns < layout.n_states] - first
     return free[(least < 0.0) | np.isin(free, beside_rates)]
@@ -207,14 +196,10 @@ def _free_controls(
 
 
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
-    """Return the Hamiltonian at the collocation points, up to a constant at each point.
+    """Return the Hamiltonian at the collocation points, up to a constant that no control changes.
 
-    The constant does not depend on the controls, so that the result serves to compare different
-    controls at a point. The result has shape (n_points,). It is infinite at points at which a path
-    inequality is violated or the Hamiltonian is undefined.
-
-    `variables` holds rates (derivatives of the states), states, algebraic variables and static
-    variables (without time), one row per collocation point. `solution` gives the costates.
+    It is infinite where a path inequality is violated or the Hamiltonian is undefined. `variables`
+    holds rates, states, algebraic and static variables, one row per point.
     """
     program = solution.program
     compiled, count = program.compiled, len(variables)
@@ -253,25 +238,16 @@ def state_error(
 ) -> float:
     """Estimate the distance of the states from the optimal states, relative to their magnitudes.
 
-    The estimate is the largest of the following numbers:
+    The estimate is the largest of these numbers:
 
-    - The largest estimated error of the solution.
-    - The errors of a state, added over all elements and doubled. The factor of two allows for the
-      unknown error of the controls.
-    - With a singular arc: ``c * e**p``, where e is the larger of two numbers: the largest estimated
-      error, and `change`. For a singular arc of order 1, c = 4 and p = 1/2; for a higher order, c =
-      1 and p = 1/5. On a singular arc, a small error e of the objective is compatible with this
-      larger error of the states.
-
-    Limits may become active or inactive inside elements. The times of these changes depend on the
-    mesh, and are inaccurate. In this case the argument `before` is given, and up to three more
-    numbers count:
-
-    - The largest relative violation of a limit on states or rates between the collocation points.
-    - The error of the states if a control jumps at a wrong time. The refinement encloses the jump
-      of a control in an element with a single collocation point. The true jump may be anywhere in
-      this element.
-    - Without a singular arc: the change of the states since the previous mesh.
+    - the largest estimated error of the solution;
+    - the errors of a state, added over all elements and doubled;
+    - if there is a singular arc: the state error of docs/theory/refinement.md, eq. (11), where
+      delta is the larger of `change` and the largest estimated error;
+    - if `before` is given: the largest relative violation of a limit on states or rates between the
+      collocation points, and the effect of controls that jump at a wrong time;
+    - if `before` is given and there is no singular arc: the change of the states since the previous
+      mesh.
 
     Parameters
     ----------
@@ -296,6 +272,8 @@ def state_error(
     if order:
         factor, root = _FELT[order]
         own = max(own, factor * max(error.largest, change) ** root)
+    # With `before`, limits become active or inactive inside elements. The times of these changes
+    # depend on the mesh, and are inaccurate.
     if before is None:
         return own
     mesh, path = solution.mesh, solution.trajectory
@@ -304,6 +282,8 @@ def state_error(
     fractions = np.append(mesh.node_fractions, starts[:, None] + widths[:, None] * places)
     moved = np.abs(before.trajectory.states_at(fractions) - path.states_at(fractions))
     bent = np.zeros_like(moved[:1])
+    # The refinement encloses the jump of a control in an element with a single collocation point.
+    # The true jump may be anywhere in this element.
     for e in np.flatnonzero(np.asarray(mesh.degrees) == 1):
         sides = np.clip([starts[e] - widths[e], starts[e] + 2.0 * widths[e]], 0.0, 1.0)
         bent = np.maximum(bent, widths[e] / 4.0 * np.abs(np.diff(path.rates_at(sides), axis=0)))
@@ -315,20 +295,10 @@ def state_error(
 def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc: 0 without singular arc, 1, or 2 for order 2 and higher.
 
-    On a singular arc a control lies between its limits, and the second derivative of the
-    Hamiltonian with respect to the control is zero. For this derivative, the states are held
-    constant. The rates (derivatives of the states) and the other algebraic variables change with
-    the control, so that all equations stay satisfied.
-
-    A change of the control changes the rates, which then move the states in a certain direction.
-    The arc is of order 1 if the second derivative of the Hamiltonian along this direction of the
-    states is not zero (Robbins 1967; Kelley, Kopp and Moyer 1967).
-
-    Two kinds of collocation points are not examined:
-
-    - points at which a path inequality or a bound of a state is active, and determines the control;
-    - points of elements with a single collocation point, because the refinement cuts such elements
-      around jumps of controls.
+    On a singular arc, a control lies between its limits. A change of the control also changes
+    rates. Along this joint change, the second derivative of the Hamiltonian is zero. The changed
+    rates move the states. At order 1, a second derivative along this motion of the states is not
+    zero (Robbins 1967; Kelley, Kopp and Moyer 1967).
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics
@@ -343,6 +313,8 @@ def singular_order(solution: Solution) -> int:
     own = program.path_curvatures(solution.unknowns, multipliers)[:, controls] + barriers
     is_candidate = np.any(np.abs(own) * scale[n:] ** 2 < threshold, axis=1)
     points = np.flatnonzero(is_candidate & _is_between(solution))
+    # The states are held constant. Rates and other algebraic variables change with the control, so
+    # that all equations stay satisfied.
     directions = _free_directions(program, solution.unknowns, points, scale)
     if directions.shape[1] == 0 or points.size == 0:
         return 0
@@ -356,6 +328,7 @@ def singular_order(solution: Solution) -> int:
     if not np.any(is_flat):
         return 0
     flat = scale * np.einsum("ka,kai->ki", bases[:, :, 0], directions)
+    # The direction in which the changed rates move the states.
     pushed = flat[:, :n]
     in_states = np.einsum("ki,kij,kj->k", pushed, hessians[:, n : 2 * n, n : 2 * n], pushed)
     mixed = np.einsum("ki,kij,kj->k", flat, hessians[:, chosen, n : 2 * n], pushed)
@@ -364,11 +337,10 @@ def singular_order(solution: Solution) -> int:
 
 
 def _barriers(solution: Solution) -> FloatArray:
-    """Return the second derivative of Ipopt's barrier function with respect to each variable.
+    """Return second derivatives of Ipopt's barrier function, shape (n_points, n_algebraics).
 
-    The variables are the algebraic variables at the collocation points. The barrier function keeps
-    them between their bounds. The second derivative is divided by the quadrature weight of the
-    collocation point. The result has shape (n_points, n_algebraics).
+    They are derivatives with respect to the algebraic variables at the collocation points, divided
+    by the quadrature weight of the point.
     """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
@@ -380,17 +352,15 @@ def _barriers(solution: Solution) -> FloatArray:
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
     """Return whether a control may be singular at each collocation point, shape (n_points,).
 
-    The result is True at a point if both of these hold:
-
-    - No path inequality and no bound of a state is active at the point.
-    - Its element has more than one collocation point. (The refinement cuts elements with a single
-      point around jumps of controls.)
+    No path inequality and no bound of a state is active there, and the element has more than one
+    collocation point.
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics
     is_told = active_limits(solution)
     for first in (states, 2 * states + algebraics):
         is_told[:, first : first + algebraics] = False
+    # The refinement cuts elements with a single point around jumps of controls.
     degrees = np.asarray(solution.mesh.degrees)[solution.mesh.element_of_point]
     return np.asarray((degrees > 1) & ~np.any(is_told, axis=1))
 
@@ -400,10 +370,7 @@ def _free_directions(
 ) -> FloatArray:
     """Return a basis of the changes of rates and controls that keep all equations satisfied.
 
-    Rates are the derivatives of the states with respect to the fraction of the horizon. At each
-    collocation point, the states are held constant, and the rates and algebraic variables may
-    change. To first order, the changes that keep the equations satisfied form the null space of the
-    equations' Jacobian. `singular_order` evaluates the curvature of the Hamiltonian in this space.
+    The states are held constant. Rates are derivatives with respect to the fraction of the horizon.
 
     Parameters
     ----------
@@ -425,5 +392,7 @@ def _free_directions(
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]
     variables, data = program.path_variables(z)[points], program.data.at_points()[points]
     slopes = program.path_slopes(variables, data, rows, chosen)
+    # To first order, the changes that keep the equations satisfied are the null space of their
+    # Jacobian.
     directions = np.linalg.svd(slopes * scale).Vh
     return np.asarray(directions[:, rows.size :])

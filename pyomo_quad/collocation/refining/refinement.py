@@ -1,4 +1,14 @@
-"""hp-adaptive mesh refinement: solve, estimate the error, change the mesh, solve again."""
+"""hp-adaptive mesh refinement: solve, estimate the error, change the mesh, solve again.
+
+Terms in this module (see docs/theory/refinement.md):
+
+- Damping: penalty on the distance between the controls and the smoothed controls of the previous
+  mesh. Only controls that enter linearly are damped.
+- Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
+- Settled objective: its relative change since the previous mesh is at most half the tolerance.
+- Restart: the refinement begins again from other controls, which are better by Pontryagin's
+  principle.
+"""
 
 from __future__ import annotations
 
@@ -69,12 +79,9 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    The refinement ends when the error estimate is at most the tolerance. In two cases, the
-    objective must also have changed by at most half the tolerance since the previous mesh:
-
-    - Limits become active or inactive inside an element.
-    - Controls are damped: the objective contains a penalty on the distance between the controls and
-      the smoothed controls of the previous mesh.
+    The objective must also have settled if limits become active or inactive inside an element, or
+    if controls are damped. This is not required if a later simulation corrects the controls by
+    feedback.
 
     Parameters
     ----------
@@ -120,17 +127,14 @@ class _Refinement(Generic[S]):
     """Mesh refinement in progress: the next meshes with their start, and the previous results.
 
     The function `refine` creates an object of this class, and calls `with_next_meshes` until the
-    refinement ends. Damping of controls is a penalty on their distance from the smoothed controls
-    of the previous mesh. The refinement is restarted from other controls if these are better by
-    Pontryagin's principle.
+    refinement ends.
 
     Attributes
     ----------
     solve : callable
         Argument `solve` of the function `refine`: it solves on given meshes.
     sharpen : callable, optional
-        Argument `past_the_barrier` of the function `refine`. It continues a solve until the
-        complementarity gap (the error that Ipopt's barrier leaves in the objective) is smaller.
+        Argument `past_the_barrier` of the function `refine`.
     meshes : tuple of Mesh
         The next meshes, one for each horizon.
     tolerance : float
@@ -149,10 +153,9 @@ class _Refinement(Generic[S]):
     firmness : float
         Factor on the strength of the damping.
     settled : int
-        Number of meshes with damping on which the objective hardly changed: by at most half the
-        tolerance since the previous mesh.
+        Number of meshes with damping on which the objective was settled.
     restarts : int
-        Number of restarts from controls that are better by Pontryagin's principle.
+        Number of restarts.
     reached : _Reached, optional
         The solution that met the tolerance before the most recent restart; None before the first
         restart.
@@ -249,9 +252,8 @@ class _Refinement(Generic[S]):
     def _recorded(self, solved: S, errors: tuple[ErrorEstimate, ...], **more: Any) -> S:
         """Add a solution to the history of the refinement, and pass it to the caller's callback.
 
-        `solved` is the solution. `errors` has its estimated errors, one item for each horizon. The
-        result is a copy of the solution, which stores the largest error and the history. Each
-        argument in `more` is set as an attribute of the copy.
+        The result is a copy with the largest error of `errors` and the history. Each argument in
+        `more` is set as an attribute of the copy.
         """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
@@ -260,16 +262,15 @@ class _Refinement(Generic[S]):
         )
 
     def _restarted(self, accepted: S) -> S | None:
-        """Restart the refinement if controls exist that are better by Pontryagin's principle.
+        """Restart the refinement if Pontryagin's principle shows better controls than `accepted`.
 
-        `accepted` is the present solution, which meets the tolerance. The result is None if the
-        refinement was restarted. Otherwise the result is the final solution: the better of
-        `accepted` and the solution before the previous restart.
-
-        A further restart requires that the previous restart improved the objective by more than the
-        tolerance. This rule makes the restarts end. It is needed for singular controls: their
-        Hamiltonian is so flat that rounding errors can make other controls appear better.
+        The result is None if the refinement was restarted. Otherwise it is the final solution:
+        either `accepted`, which meets the tolerance, or the solution kept at the previous restart
+        if that is better. `_doubted` marks the result if no further restart is allowed.
         """
+        # A further restart requires that the previous one improved the objective by more than the
+        # tolerance. The rule makes the restarts end. Singular controls need it: their Hamiltonian
+        # is so flat that rounding errors can make other controls appear better.
         if self.reached is not None and self.reached.gain(accepted) <= self.tolerance:
             return self.reached.better(accepted)
         parts = accepted.parts
@@ -293,15 +294,10 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Prepare the next solve of the refinement, after a solution that is not accurate enough.
+        """Prepare the next solve after a solution that is not accurate enough.
 
-        The method stores warm start, meshes and damping of the next solve in this object. Damping
-        is a penalty on the distance between the controls and the smoothed controls of the present
-        solution. Only controls that enter linearly are penalised. The penalty is increased in two
-        cases:
-
-        - The present solve had damping and took many iterations.
-        - The objective has hardly changed on several meshes with damping.
+        The damping is increased if the present solve had damping and took many iterations. It is
+        also increased if the objective was settled on several meshes with damping.
 
         Parameters
         ----------
@@ -309,8 +305,7 @@ class _Refinement(Generic[S]):
             Solution on the present meshes, from which the next solve starts.
         errors : tuple of ErrorEstimate
             Estimated errors of `solution`, one for each horizon. With the option `limits_move`,
-            they determine the complementarity gap at which the next solve may stop. The gap is the
-            error that Ipopt's barrier leaves in the objective.
+            they determine the complementarity gap at which the next solve may stop.
         finer : tuple of Mesh
             The next meshes, one for each horizon.
         is_damped : bool
@@ -343,12 +338,12 @@ class _Refinement(Generic[S]):
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
-        """Return for each horizon the damping of the controls towards a given solution.
+        """Return for each horizon the damping of the controls towards the solution in `parts`.
 
-        Damping is a penalty on the distance from the smoothed controls of the solution. `parts` has
-        the solution on each horizon. `how` has two optional arguments of the function `damping_of`.
-        The first, `gap`, is the complementarity gap at which the next solve may stop. The second,
-        `is_still`, is true if the objective has stopped changing from mesh to mesh.
+        `how` has optional arguments of the function `damping_of`:
+
+        - `gap`: complementarity gap at which the next solve may stop.
+        - `is_still`: True if the objective is settled.
         """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
@@ -356,16 +351,12 @@ class _Refinement(Generic[S]):
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
         """Estimate the errors of a solution, and reduce its complementarity gap if necessary.
 
-        The gap is the error that Ipopt's barrier leaves in the objective. `solved` is a solution on
-        the present meshes. If the gap, not the mesh, limits the accuracy of `solved`, the solve is
-        continued until the gap is smaller. The result is the new solution if the solve was
-        continued, and `solved` otherwise, with the estimated errors for each horizon.
-
-        A solve with damping (penalty on changes of the controls since the previous mesh) may stop
-        at a large gap on purpose: later solves on finer meshes reduce the gap. The gap of such a
-        solve is reduced here only if all other errors meet the tolerance.
+        If the gap of `solved`, not the mesh, limits the accuracy, the solve is continued. The
+        result is the last solution, with its errors on each horizon.
         """
         errors = self._errors(solved)
+        # A solve with damping may stop at a large gap on purpose: later solves on finer meshes
+        # reduce the gap. Its gap is reduced here only if all other errors meet the tolerance.
         is_left = any(d is not None and d.gap > 0.0 for d in self.dampings)
         fine = self.tolerance if is_left else max(self.tolerance, errors[0].gap)
         if self.sharpen and _is_limited_by_the_barrier(solved, errors, self.tolerance, fine):
@@ -376,23 +367,18 @@ class _Refinement(Generic[S]):
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
         """Return the error estimate of a solution on each horizon.
 
-        `solution` is a solution for all horizons. An error estimate contains the complementarity
-        gap: the error that Ipopt's barrier leaves in the objective. With several horizons, the gap
-        is set to 0 in each estimate, because it cannot be attributed to a single horizon.
+        If there are several horizons, the complementarity gap is set to 0 in each estimate.
         """
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
+        # The gap of a joint solve cannot be attributed to a single horizon.
         return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
 
     def _with_state_error(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S:
         """Return a copy of a solution with its attribute `state_error` set.
 
-        The state error of a horizon is the estimated distance of the states from the optimal
-        states, relative to the magnitudes of the states. The attribute is the largest state error
-        of all horizons.
-
-        `errors` has the error estimates of `solution`, one for each horizon. The state errors are
-        computed from these estimates.
+        The state error is the estimated distance of the states from the optimal states, relative to
+        their magnitudes. The largest of all horizons counts.
         """
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
@@ -408,13 +394,10 @@ class _Refinement(Generic[S]):
     ) -> tuple[Mesh, ...] | None:
         """Return the next meshes, one for each horizon, or None if the refinement may end.
 
-        The refinement may end only if all errors meet the tolerance. In addition, one of these
-        conditions must hold:
+        The refinement may end if all errors meet the tolerance, and one of these conditions holds:
 
-        - The objective has settled: its relative change since the previous mesh is at most half the
-          tolerance.
+        - The objective has settled.
         - No limit becomes active or inactive in or beside an element, and no controls are damped.
-          Damping is a penalty on changes of the controls since the previous mesh.
         - A later simulation corrects the controls by feedback.
         - The next meshes equal the present meshes, and no controls are damped.
 
@@ -450,9 +433,8 @@ class _Refinement(Generic[S]):
         return None if is_same and is_met and not is_damped else tuple(finer)
 
     def _has_settled(self, solution: Outcome) -> bool:
-        """Return whether the objective has changed little since the previous mesh.
+        """Return whether the objective has settled: changed little since the previous mesh.
 
-        The result is true if the relative change is at most half the tolerance of the refinement.
         `solution` is the solution on the present mesh, and holds the history of the objective.
         """
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
@@ -460,8 +442,8 @@ class _Refinement(Generic[S]):
     def _given_up(self, solution: S, error: float) -> S:
         """Return a solution whose status and message state that the tolerance was not met.
 
-        `solution` is the last solution, and `error` is its estimated error. The message says why
-        the refinement stops, and advises the user.
+        `error` is the estimated error of `solution`. The message says why the refinement stops, and
+        advises the user.
         """
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
@@ -482,9 +464,8 @@ class _Refinement(Generic[S]):
     def _shown(self, solution: S) -> S:
         """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
 
-        `solution` is the solution on the present meshes. If the callback returns False, the
-        returned solution has the status interrupted. A solution that has not converged is returned
-        without a call of the callback.
+        If the callback returns False, the returned solution has the status interrupted. The
+        callback is called for converged solutions only.
         """
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
@@ -494,8 +475,7 @@ class _Refinement(Generic[S]):
     def _expected_change(self) -> float | None:
         """Return the expected change of the objective from the present meshes to the next ones.
 
-        The expected change is the previous change of the objective, in the unit of the objective.
-        The result is None if the previous change is unknown, as on the first mesh and directly
+        It is the previous change, in the unit of the objective; None on the first mesh and directly
         after a restart.
         """
         last = self.before[0]
@@ -507,31 +487,20 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The gap is the amount by which Ipopt's barrier changes the objective, divided by the
-        objective. It need not be much smaller than the present error e, because the times at which
-        limits become active still change from mesh to mesh. The result is 0.3 e, limited to the
-        range from 0.2 tolerance to 1e-3.
-
-        The error e is the estimated relative error of objective and integrals. If bounds are
-        imposed between the collocation points, e is at least the relative change of the objective
-        since the previous mesh.
-
-        `solution` is the solution on the present meshes. `errors` has its estimated errors, one
-        item for each horizon.
+        The result is 0.3 e, limited to the range from 0.2 tolerance to 1e-3. The error e is the
+        largest relative error of objective and integrals in `errors`.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
             # Bounds between the points hide that the mesh is too coarse for the optimum.
             unknown = max(unknown, _objective_change(solution.parts[0], self.tolerance))
+        # A smaller gap is not useful, because the times at which limits become active still change
+        # from mesh to mesh.
         return max(min(_INEXACT * unknown, _MOST_INEXACT), _LEAST_INEXACT * self.tolerance)
 
 
 def _firmer(firmness: float, settled: int) -> float:
     """Return the increased factor on the strength of the damping.
-
-    Damping is a penalty that keeps the controls near the controls of the previous mesh. `firmness`
-    is the present factor on the penalty. `settled` is the number of meshes with damping on which
-    the objective hardly changed.
 
     The result is max(firmness, min(5 firmness, most)). The upper limit `most` is 25 for 0 to 3
     settled meshes, 125 for 4 to 7, and infinite for 8 or more.
@@ -545,12 +514,9 @@ def _firmer(firmness: float, settled: int) -> float:
 class _MeshSolve(Search[S], Generic[S]):
     """Search for the solution on the next meshes of a refinement.
 
-    The search tries several solution strategies in turn until a solve succeeds. A strategy defines
-    the initial point of the solve, a limit on Ipopt's iterations, and whether damping is increased.
-    The strategies are those with the scope `Scope.MESH` in the table `STRATEGIES` of the module
-    `strategies`.
-
-    Damping of controls is a penalty that keeps them near the controls on the previous mesh.
+    The search tries the strategies with the scope `Scope.MESH` of the table `STRATEGIES` in turn. A
+    strategy defines the initial point, a limit on Ipopt's iterations, and whether damping is
+    increased.
 
     Attributes
     ----------
@@ -568,9 +534,7 @@ class _MeshSolve(Search[S], Generic[S]):
         Expected change of the objective from the previous meshes to the next; None if the change is
         unknown.
     gap : float
-        Complementarity gap at which a solve with increased damping may stop, relative to the
-        objective. The gap is the error that Ipopt's barrier leaves in the objective. One of the
-        strategies, tried after a failure, increases the damping.
+        Relative complementarity gap at which a solve with increased damping may stop.
     """
 
     solve: Callable[..., S]
@@ -583,15 +547,11 @@ class _MeshSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether a condition that a strategy requires is true at this stage of the search.
 
-        `fact` is one of three conditions:
-
-        - `Fact.WARM_START`: there is a warm start.
-        - `Fact.KEPT_NEAR`: the next solution is expected near the previous solution.
-        - `Fact.FREE`: the next solution is not expected near the previous solution.
-
-        The next solution is expected near the previous one if controls are damped, or if the
-        expected change of the objective is known. Ipopt then starts with a small barrier parameter.
+        `Fact.KEPT_NEAR` means that the next solution is expected near the previous one; `Fact.FREE`
+        is the contrary.
         """
+        # Damping keeps the controls near the previous ones. With a known change of the objective,
+        # Ipopt starts with a small barrier parameter.
         is_kept_near = self.change is not None or _are_damped(self.dampings)
         has_warm = self.start.warm is not None
         return {
@@ -607,8 +567,7 @@ class _MeshSolve(Search[S], Generic[S]):
         ----------
         strategy : Strategy
             Initial point of the solve, largest number of Ipopt's iterations, and whether the
-            damping of the controls is increased. Damping is a penalty on the distance of the
-            controls from the controls on the previous mesh.
+            damping of the controls is increased.
 
         Returns
         -------
@@ -627,11 +586,7 @@ class _MeshSolve(Search[S], Generic[S]):
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
     """Return dampings with a smaller complementarity gap, for a more accurate solve.
 
-    A damping is a penalty on changes of the controls from the previous mesh. It also holds the gap
-    at which the solve may stop. The gap is the error that Ipopt's barrier leaves in the objective.
-    In the result, each gap is at most 0.2 times `tolerance` times the magnitude of the objective.
-
-    `dampings` and the result have one item for each horizon, None for a horizon without damping.
+    Each gap of the result is at most 0.2 times `tolerance` times the nominal objective.
     """
     least = _LEAST_INEXACT * tolerance
     return tuple(
@@ -655,11 +610,10 @@ def _is_limited_by_the_barrier(
     The result is true if all of these conditions hold:
 
     - The solution has converged.
-    - The error of every element is at most `fine`. Of the error estimate, the attributes `switches`
-      and `costs` are left out: they are estimated only if all other errors meet the tolerance.
+    - The error of every element is at most `fine`. The errors `switches` and `costs` of the
+      estimate are not counted.
     - The relative complementarity gap exceeds `tolerance`, or the scaled objective is too small to
-      influence Ipopt's convergence test. The gap is the amount by which Ipopt's barrier changes the
-      objective.
+      influence Ipopt's convergence test.
 
     Parameters
     ----------
@@ -673,6 +627,7 @@ def _is_limited_by_the_barrier(
         Upper limit on the errors of the elements.
     """
     (part,), (error,) = solution.parts, errors
+    # `switches` and `costs` are estimated only if all other errors meet the tolerance.
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
     is_fine = counted.per_element.max(initial=0.0) <= fine
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
@@ -739,14 +694,8 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    Without a restart, the result is `ended`, the last solution. After a restart, the result is the
-    solution from before the restart, which met the tolerance.
-
-    The refinement is restarted if other controls improve the objective by Pontryagin's principle.
-    The solutions after the restart may confirm or refute this improvement. It is refuted if none of
-    them improves the objective by more than its own error plus the tolerance. The result then keeps
-    its status and message. Otherwise, or if no solution followed the restart, its status and
-    message state that better controls exist.
+    If the refinement was never restarted, the result is `ended`. Otherwise the result is the
+    solution in `reached`. If the optimality of this solution is in doubt, `_doubted` marks it.
 
     Parameters
     ----------
@@ -760,18 +709,18 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
     """
     if reached is None:
         return ended
+    # The solution counts as optimal if no solution since the restart improves the objective by more
+    # than its own error plus the tolerance. It is in doubt if no solution followed the restart.
     is_refuted = reached.shown is None or reached.shown > tolerance
     return _doubted(reached.solution) if is_refuted else reached.solution
 
 
 def _cut_off(reached: _Reached[S]) -> S:
-    """Return the result of a refinement that has to stop after a restart.
+    """Return the result of a refinement that was restarted and then stopped above its tolerance.
 
-    A restart begins the refinement again from better controls. The refinement may then have to stop
-    before it meets the tolerance again, for example at the largest number of meshes. The result is
-    the solution from before the restart, with a status and message which state that better controls
-    exist. Its estimated error is raised to the improvement by the previous restart,
-    `reached.earned`, if that is larger.
+    The result is the solution from before the restart, marked by `_doubted`. Its error becomes
+    max(its own estimate, `reached.earned`), where `earned` is the improvement of the objective by
+    the restart before that.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
@@ -801,16 +750,12 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the least relative change of the objective from earlier meshes to the last mesh.
 
-    The last objective is compared with the objective on the mesh before it, and on each earlier
-    mesh that met the tolerance. The smallest change is returned. The earlier meshes are included
-    because the objective on the mesh before the last may be inaccurate. The result is infinite on
-    the first mesh.
-
-    `solution` holds the history of the refinement. A mesh met the tolerance if its estimated error
-    is at most `tolerance`. The change is divided by `solution.nominal_objective`, a reference
-    magnitude of the objective.
+    The earlier meshes are the previous mesh, and each mesh before it whose error is at most
+    `tolerance`. The smallest difference of the objective is divided by
+    `Solution.nominal_objective`. The result is infinite on the first mesh.
     """
     *before, now = solution.history
+    # The objective on the mesh before the last may be inaccurate, so earlier meshes count too.
     accepted = [record for record in before[:-1] if record.error <= tolerance]
     moved = [abs(now.objective - record.objective) for record in (*accepted, *before[-1:])]
     return min(moved, default=math.inf) / solution.nominal_objective
@@ -819,9 +764,8 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
     """Return whether refinement should stop because the last two solves gained too little.
 
-    The result is True if each of the last two solves took more than 150 iterations, and the
-    estimated error remained above half of its previous value. It is False before the third solve.
-    `records` has one record per mesh solved so far, in order.
+    The result is true if both took more than 150 iterations, and the error remained above half of
+    its previous value. It is False before the third solve.
     """
     if len(records) < 3:
         return False
@@ -833,10 +777,8 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase on the control that changed most since the previous mesh, for a message.
 
-    The phrase gives the name of the control, and the time and size of its largest change. It is
-    empty if there is no control, or no solution to compare with. `solution` is the present
-    solution. `before` has one item for each horizon: the solution on the previous mesh, or None on
-    the first mesh and directly after a restart.
+    The phrase gives the control, and the time and size of its largest change. It is empty on the
+    first mesh, directly after a restart, and without controls.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

@@ -84,22 +84,21 @@ class RefinementOptions:
     def breach_between_points(self) -> float:
         """Largest relative violation of a bound that is allowed between the collocation points.
 
-        The violation is relative to max(1, abs(bound)). Solves with a warm start impose the bounds
-        between the points too, with this tolerance. If the value is infinite, bounds are imposed at
-        the points only.
-
-        If all of the following conditions hold, the value is half of the smaller tolerance in
-        `allowance` on violations of limits. Otherwise the value is infinite.
+        It is relative to max(1, abs(bound)). The value b / 2, with b = min(control_breach,
+        limit_breach) of `allowance`, is used if all of these conditions hold:
 
         - `limits_move` is true.
-        - `allowance` has positive tolerances on violations of control bounds and of other limits.
-        - The tolerance on the error of the states, `allowance.state_error`, is None. If it has a
-          value, a later simulation corrects the controls by feedback and reveals violations between
-          the points. Bounds between the points are then superfluous.
+        - `allowance.state_error` is None.
+        - b is positive.
+
+        Otherwise the value is infinite: bounds are imposed at the points only.
         """
+        # A later simulation then corrects the controls by feedback, and reveals violations between
+        # the points. Bounds between the points would be superfluous.
         if self.allowance.state_error is not None:
             return math.inf
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
+        # Solves with a warm start impose the bounds between the points, with this tolerance.
         return 0.5 * allowed if self.limits_move and allowed > 0.0 else math.inf
 
     @property
@@ -253,8 +252,8 @@ def _lowered(
 ) -> _Piece:
     """Return an element that the next mesh keeps, with its degree lowered if possible.
 
-    The degree is lowered only if the element's error is far below the tolerance. It is lowered step
-    by step, while the Legendre coefficients of the highest degrees are negligible for all states.
+    The degree is lowered if the error is far below the tolerance, and the Legendre coefficients of
+    the highest degrees are negligible for all states.
 
     Parameters
     ----------
@@ -281,9 +280,9 @@ def _lowered(
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     """Return the times of the control switches that the next mesh isolates in narrow elements.
 
-    A switch is a jump or a kink of a control. If an element contains exactly one kink, the kink is
-    its switch. In any other element, the jump of a bounded control is the switch, if there is a
-    jump. If `marks.are_kinked` is false, kinks are ignored.
+    If an element has exactly one kink of a control, its switch is this kink. Otherwise, its switch
+    is the jump of a bounded control, if there is one. If `marks.are_kinked` is false, kinks are
+    ignored.
 
     Parameters
     ----------
@@ -312,17 +311,9 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Return the elements into which an element with a jump or kink of a control is split.
 
-    The jump or kink is enclosed by a sliver: a narrow element of degree 1 with one collocation
-    point. The result is three elements: one before the sliver, the sliver, and one after the
-    sliver. If the jump is near an end of the split element, the sliver extends to that end, and the
-    result is two elements.
-
-    A sliver has two advantages. First, the control is constant in it: a control that keeps its
-    limits at the collocation point keeps them in the whole sliver. Second, the error of the states
-    in the sliver decreases with the square of its width.
-
-    A neighbour of degree 1 is a sliver from an earlier mesh, which failed to enclose the whole
-    jump. In this case, the element is split into three equally wide elements without a sliver.
+    The jump or kink is enclosed in a sliver: a narrow element of degree 1. If the jump or kink is
+    near an end of the element, the sliver extends to that end. See docs/theory/refinement.md, eq.
+    (8).
 
     Parameters
     ----------
@@ -336,6 +327,8 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
         Estimated relative error of the element, which is recorded for its parts.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
+    # A neighbour of degree 1 is a sliver from an earlier mesh, which failed to enclose the whole
+    # jump.
     if 1 in (mesh.degrees[max(e - 1, 0)], mesh.degrees[min(e + 1, mesh.elements - 1)]):
         return _parts(mesh, e, _CORNER_PARTS, min(degree, _CORNER_DEGREE), size)
     half, wide = _SLIVER * (end - start), max(degree, 2)
@@ -357,20 +350,9 @@ def _finer(
 ) -> list[_Piece]:
     """Return the elements of the next mesh that replace an element to be refined.
 
-    An element that is too narrow to be split is kept unchanged. Any other element is split if at
-    least one of these conditions holds:
-
-    - A control is clipped at its limit in the element.
-    - The largest error of the element is due to a control switch.
-    - The largest error is due to bounds imposed between the collocation points.
-    - The largest error is the violation of a limit between the points, and the states are nearly
-      straight lines.
-    - The largest error is the violation of a limit between the points, and `options.limits_move` is
-      true (many limits are expected to become active or inactive).
-    - All errors meet the tolerance, but a limit becomes active or inactive in the element.
-
-    If none of them holds, the degree of the element is raised, provided that the solution is smooth
-    there and the necessary degree is allowed. Otherwise the element is split.
+    An element with a corner is split. In other elements, the degree is raised if the solution is
+    smooth and the new degree is at most `options.max_degree`. Otherwise, they are split. See
+    docs/theory/refinement.md, eqs. (4) and (5).
 
     Parameters
     ----------
@@ -388,9 +370,13 @@ def _finer(
     """
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
+    # An element that is too narrow to be split stays unchanged.
     if mesh.widths[e] < 2.0 * options.smallest_width:
         return [_Piece(mesh.breakpoints[e + 1], degree, size)]
+    # A corner is a control clipped at its limit, or a largest error that is due to bounds imposed
+    # between the points (`restraint`) or to a control switch.
     is_corner = error.is_clipped[e] or size in (error.restraint[e], error.switches[e])
+    # An element that meets the tolerance is refined if a limit becomes active or inactive in it.
     if size <= tolerance or is_corner:
         is_chased = error.is_clipped[e] and len(solution.history) > _CHASING_MESHES
         parts = (_CONSTANT_PARTS, 1) if is_chased else (_CORNER_PARTS, min(degree, _CORNER_DEGREE))
@@ -400,6 +386,7 @@ def _finer(
         # Straight lines satisfy the limits that their ends satisfy.
         return _parts(mesh, e, 2, 1, size)
     is_last = options.is_checked and error.largest <= _LAST
+    # Many limits are expected to become active or inactive.
     if options.limits_move and error.violation[e] == size:
         wanted = math.ceil((size / tolerance) ** (1.0 / _VIOLATION_ORDER))
         count = min(_MOST_PARTS_AT_LIMIT, max(2, wanted)) if is_last else _MOST_PARTS
@@ -432,9 +419,8 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    The predicted error of a merged element must be far below the tolerance. Elements that were
-    refined for the next mesh, or whose degree must not be lowered, are not merged. Element
-    boundaries that the problem requires are kept.
+    Elements that were refined, or whose degree must not be lowered, are not merged. Element
+    boundaries that the problem requires are kept. See docs/theory/refinement.md, eq. (6).
 
     Parameters
     ----------
@@ -472,10 +458,8 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the states' Legendre coefficients in an element.
 
-    In the element with index `e`, each state is a polynomial. Its Legendre coefficients are divided
-    by the largest magnitude of the state over the horizon. The result has shape (degree + 1,). Its
-    item k is the largest magnitude of the coefficients of degree k over all states. The faster the
-    result decreases with k, the smoother is the solution.
+    The result has shape (degree + 1,). Item k is the largest coefficient of degree k over all
+    states, relative to the magnitude of its state over the horizon.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -490,12 +474,8 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
     """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
 
-    The integrands are those of all integrals over time in the problem of `solution`. In the element
-    with index `e`, a polynomial interpolates each integrand at the collocation points. The Legendre
-    coefficients of the polynomial are divided by the largest magnitude of the integrand in the
-    element. The result has shape (degree,). Its item k is the largest magnitude of the coefficients
-    of degree k over all integrands. The faster the result decreases with k, the smoother are the
-    integrands.
+    The result has shape (degree,). Item k is the largest coefficient of degree k over all integrals
+    over time, relative to the magnitude of its integrand in the element.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
@@ -510,12 +490,12 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 def _decay(sizes: FloatArray) -> float:
     """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
-    A high decay rate means that the function is smooth. `sizes` are the magnitudes of the
-    coefficients in order of degree. The constant term is left out, because it says nothing about
-    smoothness. Coefficients at the level of rounding are left out, too. If fewer than two
-    coefficients are left, the result is 2, the rate of a smooth function.
+    `sizes` are the magnitudes in order of degree. A high rate means a smooth function. With fewer
+    than two coefficients, the result is 2, the rate of a smooth function.
     """
+    # The constant term says nothing about smoothness.
     order = np.arange(1, sizes.size)
+    # Coefficients at the level of rounding do not count.
     kept = sizes[1:] > 1e-14
     if kept.sum() < 2:
         return 2.0
@@ -525,12 +505,12 @@ def _decay(sizes: FloatArray) -> float:
 def _jump(solution: Solution, e: int) -> float | None:
     """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
-    `e` is the index of the element. The result is None if no control jumps. It is also None if the
-    problem requires one end of the element as a boundary, for example because a parameter jumps
-    there. A jump of a control is then assumed to be at that boundary, where elements are separated
-    already.
+    The result is None if no control jumps. It is also None if the problem requires an element
+    boundary at the start or end of element `e`. See docs/theory/refinement.md, eq. (8).
     """
     mesh = solution.mesh
+    # A jump is then assumed to be at that boundary, for example because a parameter jumps there.
+    # Elements are separated there already.
     if known_boundaries(solution)[e : e + 2].any():
         return None
     controls = solution.trajectory.algebraics

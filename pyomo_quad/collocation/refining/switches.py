@@ -23,31 +23,8 @@ _SAME_WIDTH = 1.0 + 1e-9
 def misplaced_switches(solution: Solution) -> FloatArray:
     """Return bounds on the increase of the objective by misplaced control switches, by element.
 
-    Let J(s) be the least objective with a control that switches at time s. If the switch is later
-    by ds, the Hamiltonian before the switch, H-, applies for ds instead of the Hamiltonian after
-    the switch, H+. This changes the states after the switch. The costates are the derivatives of
-    the objective with respect to the states. Therefore dJ/ds = H- - H+. At the optimal switch the
-    Hamiltonian does not jump (Weierstrass and Erdmann).
-
-    A mesh determines the element in which the control switches, but not the time of the switch
-    within the element. The time may be wrong by up to the width w of the element. This also holds
-    for a sliver (a narrow element with a single collocation point, cut around a switch). A wrong
-    time leaves no residuals in the equations between the points. It may also remain hidden in a
-    comparison with the previous mesh, which may have had the same sliver.
-
-    The jump of the Hamiltonian decreases towards the optimal switch, which is at most w away. J is
-    therefore too large by at most |H- - H+| w.
-
-    The jump is the difference of the Hamiltonians at two neighbouring collocation points. If an
-    equation depends on time explicitly, the Hamiltonian changes even without a switch. The
-    difference is therefore taken with the explicit time equal for both points: once with the time
-    of the first point, and once with the time of the second point. The mean of the two differences
-    counts. A jump between two elements counts for the narrower element, which was cut for that
-    jump.
-
-    The costates are computed in two ways: directly as multipliers, and by integration through the
-    element. The two results differ where the polynomials cannot follow the costates. The smaller
-    jump of the Hamiltonian counts.
+    The bound is the jump of the Hamiltonian times the width of the element, in which the switch may
+    be anywhere. See docs/theory/refinement.md, "Cost of a misplaced switch".
 
     Parameters
     ----------
@@ -77,6 +54,8 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     )
     first = np.flatnonzero(is_compared)
     here, there = mesh.point_fractions[first], mesh.point_fractions[first + 1]
+    # An explicit dependence on time changes the Hamiltonian even without a switch. Both points are
+    # therefore compared at equal times: that of the first point, and that of the second.
     changes = np.abs(
         _hamiltonians(solution, first + 1, here)
         + _hamiltonians(solution, first + 1, there)
@@ -84,21 +63,23 @@ def misplaced_switches(solution: Solution) -> FloatArray:
         - _hamiltonians(solution, first, there)
     )
     left, right, is_inside = before[first], after[first], is_inside[first]
+    # A jump between two elements counts for the narrower one, which was cut for that jump.
     counts_left = is_inside | (widths[left] <= _SAME_WIDTH * widths[right])
     counts_right = ~is_inside & (widths[right] <= _SAME_WIDTH * widths[left])
     for change, jump in zip(0.5 * changes, jumps, strict=True):
         np.add.at(jump, left, np.where(counts_left, change, 0.0))
         np.add.at(jump, right, np.where(counts_right, change, 0.0))
+    # Costates from multipliers and integrated costates differ where polynomials cannot follow them.
+    # The smaller jump counts.
     return np.asarray(np.where(is_chosen, widths * jumps.min(axis=0), 0.0))
 
 
 def _jumping_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which an algebraic variable jumps.
 
-    Values are taken at the collocation points of the element, and at one point on either side. A
-    variable jumps if the largest and smallest of these values differ by more than a quarter of its
-    range. The range is the difference of the variable's upper and lower limits. If a limit is
-    missing, the range is the difference of its largest and smallest values over the horizon.
+    A variable jumps if its largest minus its smallest value exceeds a quarter of its range
+    (`Solution.algebraic_ranges`). The values are taken at the points of the element, and at the
+    neighbouring point on each side.
     """
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
@@ -115,9 +96,8 @@ def _hamiltonians(
 ) -> FloatArray:
     """Return the Hamiltonian at collocation points, with parameters taken at given times.
 
-    The function `misplaced_switches` compares the Hamiltonians of two neighbouring points. Both
-    must use the same values of the time-dependent parameters. The caller therefore gives the times
-    at which these parameters are taken.
+    If two points are compared, the caller gives the same time for both. An explicit dependence on
+    time then does not contribute to the difference of their Hamiltonians.
 
     Parameters
     ----------
