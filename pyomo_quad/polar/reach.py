@@ -277,8 +277,8 @@ def _boundary_on(
         Distances from the start [m].
     share : ndarray, shape (n_steps,)
         Fraction of the usable charge for one metre of level flight at each distance [1/m]. It
-        includes the way back if the vehicle returns. If it is infinite at any distance, because of
-        strong wind, the vehicle flies 0 m.
+        includes the way back if the vehicle returns. Where the wind is too strong, it is infinite,
+        and the flight ends.
     climbed : ndarray, shape (n_steps,)
         Fraction of the usable charge for all climbs from the start up to each distance.
     is_known : ndarray of bool, shape (n_steps,)
@@ -294,7 +294,9 @@ def _boundary_on(
     """
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])
-    reached = float(np.interp(1.0, used, along)) if np.isfinite(used).all() else 0.0
+    # The wind stops the vehicle at the first place to which a metre takes an infinite charge.
+    passable = len(used) if np.isfinite(used).all() else int(np.argmin(np.isfinite(used)))
+    reached = float(np.interp(1.0, used[:passable], along[:passable]))
     unknown = np.flatnonzero(~is_known)
     known_to = float(along[max(unknown[0] - 1, 0)]) if unknown.size else np.inf
     distance = min(reached, known_to)

@@ -90,6 +90,26 @@ def jet_file(folder, half_m=6000.0):
     return file
 
 
+@pytest.mark.lengthy
+def test_a_wind_too_strong_ends_the_flight_where_it_begins(monkeypatch):
+    begins_m = 3000.0
+    scenario = load_scenario(PARCEL, {"wind.speed": 0.0})
+
+    def winds(_self, _scenario, places):
+        east = np.where(places[:, 0] > begins_m, -30.0, 0.0)
+        return np.column_stack([east, np.zeros(len(places))])
+
+    monkeypatch.setattr(Planner, "winds_at", winds)
+    reach = find_reach(scenario, has_return=False).boundary.set_index(COURSE)[REACH]
+    curve = curve_of(scenario)
+    calm, start = curve.best_over_ground().range_m, scenario.mission.start.position[0]
+    assert reach[180.0] == pytest.approx(calm, rel=1e-3)
+    # The place at which the wind begins is exact to one of the 400 steps along the course.
+    step = 2.0 * curve.airspeeds[-1] * curve.endurances.max() / 399
+    assert step < begins_m / 3.0
+    assert begins_m - start - step <= reach[0.0] <= begins_m - start < 0.5 * calm
+
+
 def in_jet(folder, **fields):
     file = jet_file(folder, **fields)
     return load_scenario(PARCEL, {"wind.field": str(file), "wind.speed": 0.0})
