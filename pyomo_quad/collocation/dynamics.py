@@ -303,15 +303,16 @@ class Dynamics:
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
 
     def moment_column(self, moment: Any, changed: Mapping[str, Any]) -> Any:
-        """Return the time-dependent inputs of the equations, some parameters replaced by symbols.
+        """Return a column of symbols for the time-dependent inputs, with some of them replaced.
 
         Parameters
         ----------
         moment : casadi.SX or casadi.MX
-            Column of symbols for the inputs that the method `moment` returns, in the order of that
-            method.
+            Column of symbols for the time-dependent inputs, in the order of the list that
+            `Dynamics.moment` returns.
         changed : mapping
-            Full name of a time-dependent parameter -> symbol that replaces it.
+            Full name of a time-dependent parameter -> symbol that replaces the symbol of this
+            parameter.
         """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):

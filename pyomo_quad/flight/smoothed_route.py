@@ -73,8 +73,8 @@ class Pace:
     acceleration : float
         Greatest acceleration along the lines between the corners [m/s^2].
     turning : float
-        Greatest acceleration of the smooth path at the corners [m/s^2]. It limits how far the path
-        cuts a corner: the greatest distance between path and corner is proportional to it.
+        Greatest acceleration of the smooth path at the corners [m/s^2]. The motion passes each
+        corner so slowly that the path keeps this limit.
     """
 
     speed: float

@@ -79,9 +79,8 @@ def bounds_of(
     Raises
     ------
     TranscriptionError
-        If a lower bound exceeds an upper bound, or if the bounds of free times contradict the order
-        of these times. A free time is a static variable (a variable without time) that gives the
-        physical time of a declared time. The message names the variables.
+        If a lower bound exceeds an upper bound, or if the bounds of free times (variables for
+        physical times) contradict the order of these times. The message names the variables.
     """
     _refuse_crossed_times(program)
     lower = np.full(program.layout.unknowns, -np.inf)
