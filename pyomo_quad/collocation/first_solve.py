@@ -229,7 +229,6 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
             Fact.ONE_HORIZON: True,
             Fact.OVERDETERMINED: self.is_overdetermined and self.first is None,
             Fact.FREE_MESH: self.is_mesh_free,
-            # The caller gave a tolerance, but neither a guess nor a warm start.
             Fact.FREE_GUESS: self.simulate is not None,
         }
         if fact is Fact.SQUARE:

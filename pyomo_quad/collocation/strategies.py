@@ -53,9 +53,9 @@ class Fact(Enum):
     OVERDETERMINED = auto()
     #: There are as many equations as free unknowns.
     SQUARE = auto()
-    #: The caller gave no mesh.
+    #: The caller gave neither a mesh nor a warm start.
     FREE_MESH = auto()
-    #: The caller gave no guess.
+    #: The caller gave a tolerance, but neither a guess nor a warm start.
     FREE_GUESS = auto()
     #: The search for the least violation after a failure was not interrupted.
     JUDGED = auto()

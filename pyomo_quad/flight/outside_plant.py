@@ -9,7 +9,7 @@ mass, inertias, thrust and drag torque over rotor speed squared | mass, Ixx.., k
 places and spins of the rotors, derived from the declared mixer | rotor_pos, rotor_directions
 drag of rotors, translational lift, parasitic drag by axis | k_d, k_z, k_h, c_Dx..
 quadratic drag | added to c_Dx, c_Dy and c_Dz; acts along the body axes
-linear drag / (4 x rotor speed in hover) | added to k_d and k_z; acts at the rotors
+linear drag / (number of rotors x rotor speed in hover) | added to k_d and k_z; acts at the rotors
 
 RotorPy neglects the inertia of the rotors. Two moments on the body are therefore added to RotorPy's
 equations: the gyroscopic moment of spinning rotors, and the yaw moment of accelerating rotors.

@@ -15,8 +15,8 @@ from pyomo_quad.flight.replanning import replanned_name
 from pyomo_quad.scenario.tables import Knowledge, Reference
 from pyomo_quad.study.comparison import OPTIMAL
 
-# Names of the flights to which a plan's risk applies: flights under feedback that use the plan or
-# the forecast for which the plan was made.
+# Names of the flights to which a plan's risk applies: flights under feedback that follow the plan,
+# or re-plans for the true or the estimated wind.
 _OF_THE_PLAN = (
     baseline_name(Reference.PLAN),
     replanned_name(Knowledge.TOLD),
