@@ -28,7 +28,9 @@ TIME_COLUMN = "time"
 
 #: A mapping from the name of a variable, as in ``rotors.omega[1]``, to a function of time, a
 #: constant, or samples at the times in `TIME_COLUMN`; a pandas frame with a time column and one
-#: column per variable is a mapping of this kind. Or a complete trajectory on any mesh.
+#: column per variable is a mapping of this kind. If start or end of the horizon is a variable,
+#: functions take the fraction of the horizon, and samples span the horizon from its start to its
+#: end. Or a complete trajectory on any mesh.
 Guess: TypeAlias = "Mapping[str, Any] | pd.DataFrame | Trajectory"
 
 
@@ -196,7 +198,8 @@ class _Known:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
         The entry `name` of the guess is a function of time, a constant, or samples. Samples are
-        interpolated linearly between the times in the entry "time".
+        interpolated linearly between the times in the entry "time". If start or end of the horizon
+        is a variable, functions take the fraction of the horizon, and samples span the horizon.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -209,7 +212,11 @@ class _Known:
         samples = np.asarray(held, dtype=float)
         if samples.ndim == 0:
             return np.full(len(times), float(samples))
-        return np.interp(times, np.asarray(self.given[TIME_COLUMN], dtype=float), samples)
+        at = np.asarray(self.given[TIME_COLUMN], dtype=float)
+        if self.program.horizon is None and at[-1] > at[0]:
+            # The samples may have physical times, such as those of a solution.
+            at = (at - at[0]) / (at[-1] - at[0])
+        return np.interp(times, at, samples)
 
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
         """Compute the algebraic variables that equations define and that have no known value.

@@ -287,10 +287,11 @@ class JointProblem(Summarised):
             If a `tolerance` is given, these are the initial meshes of the refinement. Otherwise
             they are used unchanged.
         guess : mapping, optional
-            Initial values by the name of a variable: a function of time, a constant, or samples at
-            the times under the key "time". A key may also be the name of a continuous set. The
-            value of this key is a mapping with the initial values of the variables over this set.
-            The mapping replaces all other initial values of these variables.
+            Initial values by the name of a variable: a function of time, a constant, or samples.
+            The key "time" maps to the times of all samples. A key may also be the name of a
+            continuous set. The value of this key is a mapping with the initial values of the
+            variables over this set. The mapping replaces all other initial values of these
+            variables.
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
         horizon : None

@@ -141,8 +141,10 @@ class Problem(Summarised, Formulation):
             Start and end of the horizon, in place of the ends of the continuous set.
         guess : mapping, optional
             Initial values by the name of a variable, as in ``rotors.omega[1]``: a function of time,
-            a constant, or samples at the times under the key "time". The DataFrame that
-            `Solution.to_frame` returns is a mapping of this kind.
+            a constant, or samples. The key "time" maps to the times of all samples. The DataFrame
+            that `Solution.to_frame` returns is a mapping of this kind. If start or end of the
+            horizon is a variable, functions take the fraction of the horizon, and samples span the
+            horizon from its start to its end.
         warm_start : Solution or WarmStart, optional
             Solution of the same model on any mesh; its trajectory and multipliers are the initial
             point.
@@ -575,7 +577,8 @@ def march(
     Returns
     -------
     ndarray, shape (n, n_states)
-        States, accurate enough for an initial guess; they may be infinite or NaN.
+        States, accurate enough for an initial guess. If the integration diverges, some of them are
+        infinite or NaN.
     """
     none, states = np.zeros(0), [start]
     with np.errstate(all="ignore"):

@@ -725,18 +725,15 @@ def guess_from(plan: Plan, scenario: Scenario) -> dict[str, Any]:
     """Return a plan as an initial guess for the solve of a mission with the same waypoints.
 
     Full names of states and controls map to their values at the n nodes of the plan, shape (n,).
-    "time" maps to the nominal times of the nodes, shape (n,): fractions of the horizon if the
-    duration of the mission `scenario` is free, else seconds. Names of variables for times that a
-    solve chooses map to the times of the plan [s].
+    "time" maps to the nominal times of these nodes in the mission `scenario` [s], shape (n,). Names
+    of variables for times that a solve chooses map to the times of the plan [s].
     """
     held, times = plan.trajectories, plan.trajectories.node_times
     guess = dict(zip(held.state_names, held.states.T, strict=True))
     guess |= dict(zip(held.control_names, held.controls_at(times).T, strict=True))
     waypoints, reached = scenario.mission.waypoints, plan.passing_times_s
     if len(reached) != len(waypoints):
-        return guess | {"time": times / times[-1] if scenario.mission.is_free else times}
+        return guess | {"time": times}
     passed = [t + hold for t, w in zip(reached, waypoints, strict=True) for hold in (0.0, w.hold)]
-    nominal = scenario.nominal_times
-    told = np.interp(times, [0.0, *passed, times[-1]], [0.0, *nominal])
-    guess |= chosen_times(scenario, reached, float(times[-1]))
-    return guess | {"time": told / nominal[-1] if scenario.mission.is_free else told}
+    nominal = np.interp(times, [0.0, *passed, times[-1]], [0.0, *scenario.nominal_times])
+    return guess | chosen_times(scenario, reached, float(times[-1])) | {"time": nominal}

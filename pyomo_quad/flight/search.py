@@ -293,10 +293,10 @@ class Search:
             self.usable = found
 
     def ended(self, plan: Plan) -> Plan:
-        """Return the result of the search: its last plan or, if that failed, the best usable plan.
+        """Return the result of the search: its last plan or the best usable plan.
 
-        `plan` is the last plan. It failed if it is not flyable, unless its status is "infeasible".
-        If there is no usable plan, the result is `plan` in any case.
+        The result is `plan`, the last plan, if it is flyable, if its status is "infeasible", or if
+        there is no usable plan.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:

@@ -2,8 +2,9 @@
 
 The bound uses the winds of each place; that of `study.pairs` assumes the most favourable wind
 everywhere. The rise of a potential from start to goal, plus terms for height and duration, is a
-lower bound on the energy of every flight, along any path. A price is a Lagrange multiplier of a
-total change that the mission fixes. A pair is a combination of thrust and airspeed. Derivation: see
+lower bound on the energy of every flight, along any path. The mission fixes how much some
+quantities, such as momentum, change between start and goal. The price of a quantity is the Lagrange
+multiplier of its change. A pair is a combination of thrust and airspeed. Derivation: see
 docs/theory/bound.md, eqs. (23) to (27).
 
 symbol | meaning

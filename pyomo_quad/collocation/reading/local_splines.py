@@ -372,9 +372,9 @@ class _Pieces:
     columns : ndarray of int, shape (n, degree + 1)
         For each cell, the indices of the basis functions that are not zero in the cell.
     ends : ndarray, shape (n, 2)
-        Anchor (origin) and reciprocal width for each cell. The local coordinate in the cell is
-        (coordinate - anchor) / width. In the first and the last cell, the width is that of the
-        neighbouring cell.
+        Origin and scale of the local coordinate for each cell: the local coordinate is scale *
+        (coordinate - origin). The scale is 1 / (width of the cell). The first and the last cell
+        have the scale of the neighbouring cell.
     matrices : ndarray, shape (n, degree + 1, degree + 1)
         For each cell, the polynomial coefficients of the basis functions in `columns`: one row per
         power of the local coordinate, one column per basis function.

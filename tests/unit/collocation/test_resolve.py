@@ -155,6 +155,19 @@ def test_guess_from_a_frame_and_from_functions():
     assert from_numbers.objective == pytest.approx(cold.objective, rel=1e-8)
 
 
+def test_a_frame_in_physical_time_begins_a_solve_in_free_time_along_it():
+    model = slide(scaled=False)
+    problem = compile(model, final_time=model.duration)
+    found = problem.solve(mesh=MESH)
+    frame = found.to_frame()
+    assert frame["time"].iloc[-1] == pytest.approx(brachistochrone.objective(), rel=1e-4)
+    guess = dict(frame) | {"duration": found.objective}
+    again = problem.solve(mesh=MESH, guess=guess)
+    assert again.objective == pytest.approx(found.objective, rel=1e-8)
+    assert again.iterations[0].infeasibility < 1e-2
+    assert problem.solve(mesh=MESH).iterations[0].infeasibility > 0.1
+
+
 def slide(*, scaled):
     """The brachistochrone in physical time, with its end left to the helper, or scaled by hand."""
     m = ConcreteModel()
