@@ -14,7 +14,7 @@ from pyomo_quad.flight.deadline import Deadline
 from pyomo_quad.model.battery import CHARGE_STATE
 from pyomo_quad.scenario import Attitude
 from pyomo_quad.scenario.mission import Aim
-from pyomo_quad.study.front import planned_alike
+from pyomo_quad.study.front import ALIKE, is_optimum, planned_alike
 from pyomo_quad.study.tables import TableColumn
 
 if TYPE_CHECKING:
@@ -25,9 +25,6 @@ _AIMS = (Aim.ENERGY, Aim.CHARGE)
 DISAGREEMENT = 0.005
 # Processor time after which the solve for the other aim is stopped [s].
 _LONGEST_S = 90.0
-# Relative amount by which the plan for an aim may exceed the other plan in this aim, because both
-# plans are accurate to a tolerance only.
-_ALIKE = 1e-4
 
 
 class AimColumn(TableColumn):
@@ -95,7 +92,7 @@ def energy_and_charge(
     other = next(aim for aim in _AIMS if aim is not scenario.mission.aim)
     with Deadline(scenario, progress, longest_s=_LONGEST_S) as brief:
         found = planned_alike(plan, planner, brief, aim=other)
-    if found.verification is None or not _is_better(found, plan):
+    if not is_optimum(found) or not _is_better(found, plan):
         return AimColumn.of_rows(())
     rows = [
         (one.scenario.mission.aim.value, one.energy, charge_drawn(one), one is plan)
@@ -112,10 +109,10 @@ def _is_better(found: Plan, plan: Plan) -> bool:
     """
     price = found.scenario.mission.price_of_time
     if found.scenario.mission.aim is Aim.ENERGY or found.solution is None:
-        return found.cost <= (1.0 + _ALIKE) * plan.cost
+        return found.cost <= (1.0 + ALIKE) * plan.cost
     objective = found.solution.objective
     worth = (objective - price * found.duration_s) / charge_drawn(found)
-    return objective <= (1.0 + _ALIKE) * (worth * charge_drawn(plan) + price * plan.duration_s)
+    return objective <= (1.0 + ALIKE) * (worth * charge_drawn(plan) + price * plan.duration_s)
 
 
 def charge_beyond_least(aims: "pd.DataFrame") -> float:

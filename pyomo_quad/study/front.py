@@ -24,6 +24,9 @@ _PRICES = (0.0, 0.3, 1.0, 3.0)
 # Relative difference of durations below which two points of the front count as the same flight,
 # such as two at a limit of the duration.
 _SAME_TIME = 1e-4
+# Relative amount by which an optimum may exceed another flight of its mission in the objective,
+# because both are accurate to a tolerance only.
+ALIKE = 1e-4
 
 
 class FrontColumn(TableColumn):
@@ -79,9 +82,21 @@ def energy_time_front(
         # The mesh of the plan is accurate enough for energies.
         found = planned_alike(plan, planner, progress, price_of_time=price, aim=aim)
         is_new = not any(isclose(found.duration_s, row[1], rel_tol=_SAME_TIME) for row in rows)
-        if found.verification is not None and is_new:
+        # The plan is a flight of the changed mission too, so that an optimum costs no more.
+        most = (1.0 + ALIKE) * (plan.energy + price * plan.duration_s)
+        if is_optimum(found) and is_new and found.cost <= most:
             rows.append((price, found.duration_s, found.energy, False))
     return FrontColumn.of_rows(rows).sort_values(FrontColumn.DURATION, ignore_index=True)
+
+
+def is_optimum(found: Plan) -> bool:
+    """Return whether a plan is a converged solution that simulation confirms at some accuracy.
+
+    A search that fails may end with a usable plan, such as one along straight lines, which is not
+    optimal.
+    """
+    solution = found.solution
+    return found.verification is not None and solution is not None and solution.status.is_solved
 
 
 def planned_alike(

@@ -96,7 +96,9 @@ def worsened(found):
         found,
         energy=more * found.energy,
         trajectories=replace(held, states=states),
-        solution=SimpleNamespace(objective=more * found.solution.objective),
+        solution=SimpleNamespace(
+            objective=more * found.solution.objective, status=found.solution.status
+        ),
     )
 
 

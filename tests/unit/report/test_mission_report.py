@@ -12,6 +12,7 @@ from matplotlib.quiver import Quiver, QuiverKey
 from PIL import Image
 
 from pyomo_quad.cli import main
+from pyomo_quad.collocation import Status
 from pyomo_quad.flight import Planner
 from pyomo_quad.report import Figures
 from pyomo_quad.report.energy_bars import draw_energy_by_scenario, draw_energy_split
@@ -287,19 +288,37 @@ class Told:
         least, greatest = mission.duration_limits
         best = np.sqrt(self.a / (self.b + mission.price_of_time))
         duration = min(max(best, least), greatest)
+        energy = self.a / duration + self.b * duration
         return SimpleNamespace(
             scenario=scenario,
             duration_s=duration,
-            energy=self.a / duration + self.b * duration,
+            energy=energy,
+            cost=energy + mission.price_of_time * duration,
             hover_energy_J=80.0 * duration,
             is_verified=True,
             verification=object(),
+            solution=SimpleNamespace(status=Status.CONVERGED),
             margins={},
         )
 
 
-def front_of(*overrides):
-    planner = Told()
+class AtTimesLost(Told):
+    """A planner whose solve for the highest price fails or ends at a poor local optimum."""
+
+    def __init__(self, status):
+        self.status = status
+
+    def solve(self, scenario, **_):
+        found = super().solve(scenario)
+        if scenario.mission.price_of_time > 200.0:
+            found.solution = SimpleNamespace(status=self.status)
+            if self.status.is_solved:
+                found.cost *= 3.0
+        return found
+
+
+def front_of(*overrides, planner=None):
+    planner = planner or Told()
     plan = planner.solve(load_scenario("scenarios/paper_free.toml", list(overrides)))
     return energy_time_front(plan, planner=planner)
 
@@ -310,6 +329,12 @@ def test_the_front_is_that_of_the_flights_of_least_cost():
     assert front.loc[front["is_plan"], "price_of_time_W"].tolist() == [50.0]
     np.testing.assert_allclose(front["duration_s"], np.sqrt(900 / (100 + front["price_of_time_W"])))
     assert front["energy_J"].is_monotonic_decreasing
+
+
+@pytest.mark.parametrize("status", [Status.NOT_CONVERGED, Status.CONVERGED])
+def test_a_flight_that_is_no_optimum_has_no_point_in_the_front(status):
+    front = front_of("mission.price_of_time = 50.0", planner=AtTimesLost(status))
+    assert front["price_of_time_W"].tolist() == [80.0, 50.0, 24.0, 0.0]
 
 
 def test_flights_at_a_limit_of_the_duration_stand_in_the_front_once():
