@@ -64,7 +64,8 @@ def solve(
     """Plan the minimum-energy flight of a scenario, and verify the plan by simulation.
 
     A scenario may state a risk, the permitted probability that a flight breaks a limit. The plan
-    then keeps a margin to each limit.
+    then keeps a margin to each limit. If the duration is free, the default risk is 1 %, unless
+    `vehicle.attitude` is "paper".
 
     Parameters
     ----------
@@ -83,7 +84,8 @@ def solve(
     Raises
     ------
     ScenarioError
-        If the scenario has an invalid value; the message is one line and names the field.
+        If the scenario has invalid values; the message has one line per invalid field. Also if the
+        scenario names a model builder that is not allowed or cannot be loaded.
     FeasibilityError
         If the rotors cannot lift the vehicle.
 

@@ -44,8 +44,9 @@ def side_by_side(
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
     The copies start at the beginning of the ``with`` block and are killed at its end. Where a fork
-    is not safe (see `cores`), all tasks run in this process. A task that fails in a copy runs again
-    in this process, where its error is raised.
+    is not safe (see `cores`), all tasks run in this process. A task runs again in this process if
+    it fails or takes too long in a copy. The second run raises the error of a failing task. If a
+    result cannot be pickled, the task also runs again.
 
     Parameters
     ----------
@@ -139,7 +140,7 @@ def process_pool(count: int) -> Iterator[Executor]:
     """Context manager: yield a pool of ``count`` new (spawned) processes.
 
     Each process uses one thread. All processes are killed at the end of the ``with`` block, even
-    while they work.
+    while they work. Environment variables change in the block (see `environment_of_workers`).
     """
     with environment_of_workers():
         pool = pool_of(count)
@@ -150,7 +151,10 @@ def process_pool(count: int) -> Iterator[Executor]:
 
 
 class _QuietPool(ProcessPoolExecutor):
-    """Pool of processes that ignore Ctrl-C and other signals, which the parent process handles."""
+    """Pool of processes that ignore Ctrl-C and SIGHUP, which the parent process handles.
+
+    At its start, a process also ignores SIGTERM until it calls `_begin`.
+    """
 
     def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:  # noqa: ANN401
         # A process inherits the signal mask with which it starts, so it neither ends during its
@@ -210,9 +214,10 @@ def end_processes(pool: Executor) -> None:
 
 @contextmanager
 def environment_of_workers() -> Iterator[None]:
-    """Context manager: processes started in the block use one thread and print no warnings.
+    """Context manager: processes started in the block use one thread.
 
-    The environment variables of this process are changed for the duration of the block.
+    The processes also print no warnings of Python's resource tracker. The environment variables of
+    this process are changed for the duration of the block.
     """
     before = {name: os.environ.get(name) for name in _ENVIRONMENT}
     os.environ.update(_ENVIRONMENT)

@@ -1,6 +1,7 @@
 """Program `pyomo-quad`: its commands `fly`, `run`, `compare` and `solve`, and error handling.
 
-Every error ends a command with one line on standard error and an exit status.
+An error ends a command with an exit status and a message on standard error, without a traceback.
+The message is one line. For an invalid scenario, it has one line per invalid field.
 """
 
 import sys
@@ -38,6 +39,7 @@ from pyomo_quad.cli.terminal import (
     complain,
     folder_of,
     gives_up_output,
+    is_plan,
     option,
     positive_count,
     real_number,
@@ -173,11 +175,6 @@ def fly(
     return ExitCode.VERIFIED if flight.is_verified else ExitCode.NOT_VERIFIED
 
 
-def is_plan(path: Path) -> bool:
-    """Return True for a saved plan (a file or a report folder), and False for a scenario file."""
-    return path.is_dir() or path.suffix == ".npz"
-
-
 def _refuse_other_flights(
     path: Path,
     flights: int | None,
@@ -238,6 +235,11 @@ def _flown(
     tuple of (Scenario, Flight)
         The mission that was flown, and the flight. If a plan was made, the mission takes its
         duration and the times of its waypoints from the plan.
+
+    Raises
+    ------
+    Exit
+        If no flyable plan is found, or if the flight is impossible.
     """
     from pyomo_quad.cli import flying  # noqa: PLC0415  as above
     from pyomo_quad.flight.deadline import Deadline  # noqa: PLC0415
@@ -475,12 +477,16 @@ def _end_other_processes() -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run one command, print any error as one line, and return the exit status.
+    """Run one command, print any error without a traceback, and return the exit status.
+
+    After an interruption, the status is `ExitCode.INTERRUPTED`.
 
     Parameters
     ----------
     arguments : sequence of str, optional
-        Name and arguments of the command; by default the command-line arguments of the process.
+        Name and arguments of the command; by default the command-line arguments of the process. By
+        default, the function also changes the process: it replaces closed standard streams. A
+        signal that ends the process then also ends its child processes.
     """
     if arguments is None:
         before_the_end(_end_other_processes)

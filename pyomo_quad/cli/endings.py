@@ -86,7 +86,11 @@ class Interruption:
 
 
 def end_on_signals() -> None:
-    """Install signal handlers: Ctrl-C, SIGTERM and SIGHUP then end this process at once."""
+    """Install signal handlers: Ctrl-C, SIGTERM and SIGHUP then end this process at once.
+
+    The exit status is `ExitCode.INTERRUPTED`. A SIGHUP that is ignored, as under `nohup`, stays
+    ignored. The handler of SIGALRM marks a process that runs only the command; see `_enforce`.
+    """
     for number in (*_ending_signals(), signal.SIGALRM):
         signal.signal(number, _end)
 
@@ -131,13 +135,13 @@ def before_the_end(act: Callable[[], object]) -> None:
 def stop_on_interrupt() -> Iterator[Interruption]:
     """Turn a signal such as Ctrl-C into a request to stop a solve, inside a ``with`` block.
 
-    After a request, a solve inside the block stops at the next iteration and returns its best
-    iterate. The signal also starts the timer of `Interruption`.
+    The signal also starts the timer of `Interruption`.
 
     Yields
     ------
     Interruption
-        Record of the request.
+        Record of the request. A solve inside the block must read its attribute `is_requested` at
+        each iteration, and stop if it is True.
     """
     interruption = Interruption()
     with _handled_by(interruption.request):
@@ -148,12 +152,14 @@ def stop_on_interrupt() -> Iterator[Interruption]:
 def raise_on_interrupt() -> Iterator[None]:
     """Context manager: stop the ``with`` block at the first signal.
 
-    The signal raises `KeyboardInterrupt` inside the block, so that the block can clean up.
+    The signal raises `KeyboardInterrupt` inside the block, so that the block can clean up. Later
+    signals are ignored. A process that runs only the command ends after half a second.
 
     Raises
     ------
     Stopped
-        On leaving the block, if a signal arrived.
+        If the block ends by this `KeyboardInterrupt`, or by another exception after the signal. A
+        block that catches the `KeyboardInterrupt` ends normally.
     """
     is_asked = False
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from pyomo_quad.cli.endings import ExitCode
 from pyomo_quad.cli.flying import make_flight, make_plan
 from pyomo_quad.cli.solving import answer, planner_for, report_folder
-from pyomo_quad.cli.terminal import Options, Stopwatch
+from pyomo_quad.cli.terminal import Options, Stopwatch, is_plan
 from pyomo_quad.exports.motion import ProvenPlan, read_proven
 from pyomo_quad.flight import Planner
 from pyomo_quad.flight.deadline import Deadline
@@ -16,8 +16,6 @@ from pyomo_quad.report.folder import refuse_output_folder
 from pyomo_quad.scenario import Scenario, ScenarioError
 from pyomo_quad.scenario.loader import with_overrides
 from pyomo_quad.study.ensemble import Ensemble, Saving, fly_cruise_often, fly_plan_often
-
-_SCENARIO = ".toml"
 
 
 def fly_many(
@@ -28,7 +26,8 @@ def fly_many(
     Parameters
     ----------
     path : Path
-        Scenario file to plan, file of a saved plan, or report folder of a run.
+        Scenario file to plan (.toml), file of a saved plan, or report folder of a run. Any file
+        with another ending than .toml is read as a plan.
     flights : int
         Number of flights.
     seed : int
@@ -65,7 +64,7 @@ def fly_many(
 
 
 def _plan_of(path: Path, options: Options) -> tuple[ProvenPlan, Planner]:
-    if path.suffix != _SCENARIO:
+    if is_plan(path):
         read = read_proven(path, is_code_allowed=options.allow_code)
         mission = with_overrides(read.mission, options.overrides or ())
         return ProvenPlan(mission=mission, trajectories=read.trajectories), planner_for(

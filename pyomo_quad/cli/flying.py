@@ -110,9 +110,16 @@ def fly_declared(
     reference : Reference or None
         Reference trajectory that the adaptive controller follows. None: the plan's controls are
         applied without feedback (open loop). `Reference.CRUISE`: a flight in the manner of an
-        autopilot, at the scenario's cruise speed, or else at the speed that needs the least energy.
+        autopilot, at the scenario's cruise speed. If the scenario gives none, speed, acceleration
+        and jerk are tuned for least energy.
     plan : Plan or None
         Plan of the scenario; None if the flight needs no plan.
+
+    Raises
+    ------
+    ScenarioError
+        For a cruise, if the scenario gives several cruise speeds, or if no tuned flight arrives
+        within the limits.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
@@ -144,7 +151,7 @@ def fly_mpc(planner: Planner, scenario: Scenario, knowledge: Knowledge) -> Fligh
 
 
 def refuse_outside(scenario: Scenario) -> None:
-    """Raise an error if the simulator RotorPy is not installed or cannot simulate the scenario.
+    """Raise ScenarioError if the simulator RotorPy is missing or cannot simulate the scenario.
 
     RotorPy cannot simulate a wind that acts as an acceleration, as in eq. (9) of Yacef et al.
     """

@@ -347,7 +347,7 @@ def _mission(summary: dict[str, Any]) -> Scenario | None:
     """Return the scenario of a report, with duration and waypoint times of the reported flight.
 
     Waypoint times that the report does not give stay those of the scenario. The result is None if
-    this version of the package cannot read the scenario.
+    scenario or duration is missing, or if this version of the package cannot read the scenario.
 
     Parameters
     ----------

@@ -158,7 +158,7 @@ def report_folder(folder: Path) -> Iterator[Path]:
     """Context manager: write a report folder, and keep the earlier report if the solve is stopped.
 
     If the user stops the solve, the command prints one line and exits. The folder then still has
-    its earlier report.
+    its earlier report. A nearly feasible best iterate is saved in the folder NAME-interrupted.
 
     Yields
     ------
@@ -182,7 +182,8 @@ def report_folder(folder: Path) -> Iterator[Path]:
 def _kept(plan: Plan, folder: Path) -> str:
     """Save the best iterate of a stopped solve in a separate folder, if nearly feasible.
 
-    An iterate counts as nearly feasible if its relative constraint violation is at most 1e-4.
+    It counts as nearly feasible if the scaled constraint violation was at most 1e-4 at any recorded
+    iteration.
 
     Parameters
     ----------
@@ -226,13 +227,14 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     Returns
     -------
     tuple of (Plan, Scenario)
-        The stored plan, from which the solve continues, and its scenario with the new accuracy.
+        The stored plan, from which the solve continues, and its scenario with the overrides. The
+        scenario also gets the new accuracy, and the energy tolerance of this accuracy.
 
     Raises
     ------
     ScenarioError
-        If the folder contains no plan; if an override changes a field outside ``solver``; or if the
-        stored plan already has the highest accuracy.
+        If the folder contains no readable plan; if an override changes a field outside ``solver``;
+        or if the stored plan already has the highest accuracy, and the overrides give no accuracy.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -312,8 +314,9 @@ _TEXTS = ("scenario", "flight")
 def verdict_lines(plan: Plan) -> Iterator[str]:
     """Yield the lines that a command prints about a plan.
 
-    The lines give the plan's status, energy and estimated error, and the probability that a flight
-    breaks a limit. For a failed plan, the lines give the causes of the failure.
+    For a flyable plan, the lines give status, energy, estimated error, and the probability that a
+    flight breaks a limit. If this probability is above the permitted risk, `complain_about` prints
+    it. For a failed plan, the lines list the equations violated most and the limits reached.
     """
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
@@ -344,7 +347,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
 
 
 def complain_about(plan: Plan, folder: Path, cautions: Sequence[str]) -> None:
-    """Print the causes of the failure of a plan, and all warnings, to standard error.
+    """Print why a plan failed or misses accuracy or risk, and all warnings, to standard error.
 
     Parameters
     ----------
@@ -410,8 +413,9 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        One row for each flight. The columns are scenario, name, total energy, saving, duration,
-        energy above hovering, final distance from the goal, and outcome. The saving, in percent, is
+        One row for each flight. The columns are scenario, name, energy, saving, duration, energy
+        above hovering, final distance from the goal, and outcome. Energies include an estimate of
+        the energy from the end of the flight to the exact goal state. The saving, in percent, is
         100 (flight - plan) / flight, with the energies of the flight and of the plan. Empty columns
         are left out. The column of scenarios is left out if there is only one scenario.
     """

@@ -1,8 +1,8 @@
 """Faster start of a process that runs a single command.
 
 `own_process` limits threads and garbage collection. `import_scipy_alone` avoids slow imports.
-Together they save about a second. Both change settings of the whole process. Call them only in a
-process that runs nothing but one command.
+Together they save about a second. Both change settings of the whole process. Call `own_process`
+only in a process that runs nothing but one command. Without it, `import_scipy_alone` does nothing.
 """
 
 import gc
@@ -20,7 +20,8 @@ _is_own = False
 def own_process() -> None:
     """Make the process of a command faster: one BLAS thread, rare garbage collection.
 
-    If an environment variable already sets the number of BLAS threads, that number is kept.
+    Call the function before NumPy is imported. If an environment variable already sets the number
+    of BLAS threads, that number is kept.
     """
     global _is_own  # noqa: PLW0603  a fact about the process
     _is_own = True
@@ -32,8 +33,8 @@ def own_process() -> None:
 def import_scipy_alone() -> None:
     """Remove the import hooks of Pyomo that make the import of SciPy and matplotlib slow.
 
-    Pyomo then imports further modules when it first uses them. In a process that also runs other
-    code, such as tests, the function does nothing.
+    Pyomo then imports further modules when it first uses them. The function does nothing unless
+    `own_process` was called before, and neither Pyomo nor SciPy has been imported yet.
     """
     # At the first import of SciPy or matplotlib, the hooks import modules that Pyomo may need
     # later. They take half a second for each of the two libraries.

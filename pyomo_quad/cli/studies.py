@@ -431,6 +431,8 @@ def _read(
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
     """Read measured flights, and the description of the vehicle that flew them.
 
+    A flight that occurs several times is returned once; a message on standard error names it.
+
     Parameters
     ----------
     logs : list of Path

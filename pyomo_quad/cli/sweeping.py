@@ -217,7 +217,7 @@ class _Listener:
 
     @property
     def rate(self) -> float:
-        """Number of cases solved per second since the start of the sweep."""
+        """Number of cases per second that this run has ended, failed cases included."""
         return self._solved / max(monotonic() - self._began, 1e-9)
 
     def _show(self) -> None:

@@ -32,8 +32,7 @@ _WIDTH_WITHOUT_TERMINAL = 140
 def result_console() -> Console:
     """Return a console for standard output.
 
-    On a terminal, the console has the terminal's width. Otherwise the console is wide enough for
-    all tables.
+    On a terminal, the console has the terminal's width, otherwise 140 columns.
     """
     width = None if sys.stdout.isatty() else _WIDTH_WITHOUT_TERMINAL
     return Console(width=width, highlight=False)
@@ -278,7 +277,7 @@ def positive_count(text: str) -> int:
     Raises
     ------
     BadParameter
-        If the text is not a whole number of at least 1.
+        If the text is not a whole number of at least 1, or has more than nine digits.
     """
     digits = text.strip()
     if digits.isascii() and digits.isdecimal() and 1 <= len(digits) <= _MOST_DIGITS and int(digits):
@@ -300,3 +299,8 @@ class Stopwatch:
             yield
         finally:
             self.seconds[name] = self.seconds.get(name, 0.0) + perf_counter() - started
+
+
+def is_plan(path: Path) -> bool:
+    """Return True for a saved plan (a file or a report folder), and False for a scenario file."""
+    return path.is_dir() or path.suffix == ".npz"

@@ -157,7 +157,8 @@ def solve(
 ) -> Solution | JointSolution:
     """Compile and solve a Pyomo.DAE model, and load the solution into the model.
 
-    The variables of the model receive their values at all members of the continuous sets.
+    The variables of the model receive their values at all members of the continuous sets. A failed
+    solve raises no exception; its result is loaded, too, and its status shows the failure.
 
     Parameters
     ----------
@@ -173,8 +174,9 @@ def solve(
         at 1.0. The solve determines this time. For a model with several continuous sets: a mapping
         from the name of each set to its free times.
     mesh : Mesh or mapping, optional
-        Mesh of the solve; if a `tolerance` is given, only the initial mesh. For a model with
-        several continuous sets: a mesh for all sets, or a mapping from the sets' names to meshes.
+        Mesh of the solve; if a `tolerance` is given, only the initial mesh. By default, the initial
+        mesh is that of the warm start, or `first_mesh` of `refinement`. For a model with several
+        continuous sets: a mesh for all sets, or a mapping from the sets' names to meshes.
     tolerance : float, optional
         Required relative error of the states, for which the mesh is refined. The default is 1e-6 if
         no mesh is given; a given mesh is by default not refined.
@@ -198,8 +200,8 @@ def solve(
         Settings of the mesh refinement.
     starts : int, default 1
         Number of initial points from which the first mesh is solved; the best optimum is kept. All
-        but one point are random between the bounds. Only 1 is supported for several continuous
-        sets.
+        but one point are random between the bounds, drawn with fixed seeds. Only 1 is supported for
+        several continuous sets.
     progress : callable, optional
         Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
         returning False stops the solve.

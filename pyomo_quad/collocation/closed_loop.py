@@ -139,7 +139,8 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     Raises
     ------
     TranscriptionError
-        If the law returns a wrong number of controls or of derivatives.
+        If the law returns a wrong number of controls or of derivatives, branches on its arguments,
+        or calls a function other than those of `Law`.
     """
     n_states = len(dynamics.state_names)
     joint, command = casadi.SX.sym("joint", sizes[1]), casadi.SX.sym("command", sizes[2])
@@ -202,7 +203,7 @@ def closed(
         Three numbers, from `joint_sizes`: the number of time-dependent inputs of the equations, the
         number of joint states, and the number of components of the command.
     numbers : mapping
-        Full name of a parameter -> symbol that replaces it.
+        Full name of a parameter -> symbol that replaces it. Unknown names are ignored.
 
     Returns
     -------

@@ -61,7 +61,8 @@ class Costates:
         objective per unit of physical time, p are the costates, and x the states.
     sizes : ndarray, shape (n_states,)
         Largest magnitude of each costate over the horizon, but at least 1e-9 a / b. Here a is the
-        magnitude of the objective, and b is the largest magnitude of the state over the horizon.
+        magnitude of the objective, and b is the largest magnitude of the state over the horizon. If
+        the state is always 0, b is 1.
     """
 
     mesh: Mesh
@@ -81,7 +82,10 @@ class Costates:
         return tuple(np.vstack(held) for held in zip(self.starts, inner, strict=True))
 
     def at(self, fractions: FloatArray) -> FloatArray:
-        """Return the costates at fractions of the horizon, shape (n_fractions, n_states)."""
+        """Return the costates at fractions of the horizon, shape (n_fractions, n_states).
+
+        At the boundary between two elements, the result is the value before a jump.
+        """
         mesh, first = self.mesh, self.mesh.first_node
         found = np.empty((len(fractions), self.starts.shape[1]))
         for e, positions, local in by_element(mesh, fractions):
@@ -95,7 +99,7 @@ def _roughness(degree: int) -> FloatArray:
     """Return the matrix R such that R v is the residual of a smooth fit to values v.
 
     The values belong to the left end and the d collocation points of an element. The fit is a
-    polynomial of degree d - 2, by least squares. The shape of R is (d + 1, d + 1).
+    polynomial of degree max(d - 2, 0), by least squares. The shape of R is (d + 1, d + 1).
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))

@@ -250,7 +250,8 @@ class ActiveLimit:
     unit : str
         Unit of the limit, "" if it has none.
     share : float
-        Fraction of the collocation points at which the limit is active.
+        Fraction of the points of the component at which a limit is active. The points are
+        collocation points or nodes for a limit over time.
     """
 
     name: str
@@ -275,9 +276,11 @@ class Relaxation:
     name : str
         Name of the component that declares the limits.
     amount : float
-        Relaxation of the limits, in the unit of `limit`.
+        Relaxation of `limit`, in its unit. The other limits of the component are relaxed in
+        proportion to their reference magnitudes; see `SoftRows`.
     limit : float
-        Value of the limit, or its largest value if the limit varies with time.
+        Value of the limit. If the component declares several, the value of the limit with the
+        largest reference magnitude.
     unit : str
         Unit of `amount` and `limit`, "" if they have none.
     """
@@ -400,8 +403,9 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
-    Ipopt solves an elastic program: that of the failed solve, with slacks in the limits and their
-    sum as the objective. All limits of a family share one slack, as in `SoftRows`.
+    Ipopt solves the failed program with slacks in the limits. All limits of a family share one
+    slack, as in `SoftRows`. The objective is the sum of the slacks, plus a small penalty on the
+    distance from the failed solve's unknowns.
 
     Parameters
     ----------
@@ -504,10 +508,11 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
     touches = soft.sign * (held - soft.limit) >= -_MET * soft.size
     equal = solution.bounds.lower == solution.bounds.upper
     is_equality = (soft.row < 0) & equal[soft.column]
-    found = []
+    # Both sides of a limit with two sides belong to the same point.
+    points, found = np.column_stack([soft.row, soft.column]), []
     for k, name in enumerate(soft.names):
         mine = (soft.family == k) & ~is_equality
-        count = int(np.sum(touches & mine))
+        count = len(np.unique(points[touches & mine], axis=0))
         if count:
             first = int(np.flatnonzero(touches & mine)[0])
             found.append(
@@ -515,7 +520,7 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
                     name=name,
                     limit=float(soft.limit[first]),
                     unit=solution.problem.source.unit(name),
-                    share=count / int(np.sum(mine & (soft.sign == soft.sign[first]))),
+                    share=count / len(np.unique(points[mine], axis=0)),
                 )
             )
     return tuple(found)

@@ -58,8 +58,8 @@ class Instants:
         *inputs)`` -> values, shape (n, n_keys). A key is a pair: the full name of a component, and
         its index without the time (i for ``x[i, t]``, None for ``x[t]``).
     numbers : callable
-        Function that changes parameters: (data, new values of parameters by full name) -> changed
-        copy of the data. The data are the last array of `inputs`.
+        Function that changes parameters: (data, new values of constant parameters by full name) ->
+        changed copy of the data. The data are the last array of `inputs`.
     """
 
     inputs: list[FloatArray]
@@ -79,8 +79,8 @@ class Instants:
             For each component: its full name, and its index without the time (i for ``x[i, t]``,
             None for ``x[t]``).
         changed : mapping, optional
-            New values of parameters by full name. The rates and the algebraic variables in `inputs`
-            keep their values, and must be independent of these parameters.
+            New values of constant parameters by full name. The rates and the algebraic variables in
+            `inputs` keep their values, and must be independent of these parameters.
 
         Returns
         -------
@@ -102,6 +102,11 @@ class Dynamics:
         States of the nonlinear program, then output states (states on which nothing depends).
     control_names : tuple of str
         Algebraic variables that no equation determines: the inputs of a simulation.
+
+    Raises
+    ------
+    TranscriptionError
+        If the number of equations differs from the number of rates and determined variables.
     """
 
     def __init__(self, formulation: Formulation, instance: Instance, statics: FloatArray) -> None:
@@ -297,7 +302,7 @@ class Dynamics:
         Parameters
         ----------
         changed : mapping
-            Full name of a parameter -> symbol that replaces its value.
+            Full name of a parameter -> symbol that replaces its value. Other names are ignored.
         """
         pairs = zip(self.parameter_names, self._instance.parameters.tolist(), strict=True)
         return casadi.vertcat(*(changed.get(name, value) for name, value in pairs))
@@ -312,7 +317,7 @@ class Dynamics:
             `Dynamics.moment` returns.
         changed : mapping
             Full name of a time-dependent parameter -> symbol that replaces the symbol of this
-            parameter.
+            parameter. Other names are ignored.
         """
         own = casadi.vertsplit(moment)
         for k, name in enumerate(self.signal_names, start=1):
@@ -516,7 +521,7 @@ class Dynamics:
         states, controls : ndarray, shape (n, n_states) and (n, n_controls)
             States and controls at these times.
         numbers : mapping, optional
-            Values of parameters by full name, each a number or an array of shape (n,).
+            Values of constant parameters by full name, each a number or an array of shape (n,).
 
         Returns
         -------
@@ -553,7 +558,7 @@ class Dynamics:
         """Merge controls and computed variables into one array of all algebraic variables.
 
         `determined` are the variables that equations determine. Each array has one row per time.
-        The columns of the result are in the order of declaration.
+        The columns of the result are in the order of `Declarations.algebraics`.
         """
         names = [s.name for s in self._determined]
         columns = [
@@ -683,8 +688,8 @@ class Dynamics:
     ) -> tuple[Violation, ...]:
         """Return the worst violation of each limit along a trajectory.
 
-        Limits are path inequalities, and bounds over time. The violation of a satisfied limit is 0.
-        The limit with the largest violation relative to max(1, abs(bound)) comes first.
+        The limits are those of `limits_of`. The violation of a satisfied limit is 0. The limit with
+        the largest violation relative to max(1, abs(bound)) comes first.
 
         Parameters
         ----------
@@ -727,8 +732,9 @@ class Dynamics:
     def limits_of(self, instants: Instants) -> list[LimitValues]:
         """Return values and bounds of each limited quantity along a flight.
 
-        Limited quantities are the expressions of path inequalities, and the states and algebraic
-        variables that have bounds over time.
+        Limited quantities are the expressions of path inequalities, and all states and algebraic
+        variables except output states. A missing bound is infinite. A linear inequality on a single
+        variable counts as a bound of this variable: 2 x <= 5 gives the bound 2.5 of x.
 
         Parameters
         ----------
@@ -765,8 +771,8 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
     """Split the algebraic variables into controls and variables that equations determine.
 
     An equality without time derivatives can determine one of its algebraic variables. A maximum
-    matching assigns variables to such equalities, and prefers variables declared last. The controls
-    are the variables without an assigned equality.
+    matching assigns variables to such equalities. It prefers variables that first appear in late
+    constraints. The controls are the variables without an assigned equality.
 
     Parameters
     ----------
@@ -776,7 +782,8 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
     Returns
     -------
     tuple of Slot, tuple of Slot
-        Controls, and determined variables, in the order in which the model declares them.
+        Controls, and determined variables, each in the order of `Declarations.algebraics`: that of
+        their first appearance in the constraints.
 
     Examples
     --------

@@ -120,7 +120,8 @@ def symbols(*names: str) -> list[Any]:
 class Enclosure:
     """Lower and upper bounds, over boxes of variables, of expressions and of one gradient.
 
-    The gradient is that of the first expression with respect to the variables.
+    The gradient is that of the first expression with respect to the variables. The square root of a
+    negative number counts as 0.
 
     Parameters
     ----------

@@ -58,9 +58,10 @@ class FirstSolve(Search[S], Generic[S]):
         `mesh` until the tolerance is met, and returns the solution on the last mesh. Otherwise
         `finish` solves once, on `mesh` itself.
     judge : callable
-        Function (failed solution) -> the same solution with a message. The function minimises the
-        constraint violation near the failed solution. The message names the equations that cannot
-        be satisfied together.
+        Function (failed solution) -> solution with a verdict on feasibility. The function minimises
+        the constraint violation near the failed solution. If equations remain violated, the status
+        becomes `INFEASIBLE`, and the message names them. With one horizon, the returned solution is
+        the point of least violation.
     mesh : Mesh, list of Mesh, or None
         Initial mesh, a list for several horizons, None for a model without time.
     start : Start
@@ -107,11 +108,11 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        This class evaluates two conditions; any other is False.
+        This class evaluates two conditions; any other is False. For these two, the first call after
+        the requested solve computes `judged`, which examines the feasibility of the problem.
 
-        - `Fact.JUDGED`: the requested solve has failed, and the feasibility of the problem has been
-          examined since.
-        - `Fact.POSSIBLE`: in addition, the problem may be feasible.
+        - `Fact.JUDGED`: the requested solve has failed, and the examination was not interrupted.
+        - `Fact.POSSIBLE`: in addition, the examination did not find the problem infeasible.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -122,7 +123,8 @@ class FirstSolve(Search[S], Generic[S]):
         """Solve with the initial point, mesh and settings of Ipopt that a strategy prescribes.
 
         `strategy` is the solve that the caller requested, or a fallback. The result is None if the
-        strategy does not apply to this problem.
+        strategy does not apply to this problem. The result of the requested solve is stored in
+        `first`.
         """
         own = partial(
             self.solve, options=strategy.settings(self.options), is_scaled=strategy.is_scaled
@@ -164,8 +166,8 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        A success ends the search. The failure of a fallback strategy does not. The failure of the
-        solve that the caller requested ends the search in two cases:
+        A success or an interruption ends the search. The failure of a fallback strategy does not.
+        The failure of the solve that the caller requested ends the search in two cases:
 
         - the solve diverged;
         - the caller allows fewer than 200 iterations.
@@ -304,7 +306,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         -------
         Solution or None
             None if no condition is redundant, if the solve fails, or if its solution violates a
-            redundant condition.
+            redundant condition. Also if the search for redundant conditions is interrupted.
         """
         # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))

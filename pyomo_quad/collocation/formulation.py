@@ -34,6 +34,7 @@ from pyomo_quad.collocation.reading.clock import index_tuple
 from pyomo_quad.collocation.reading.model import read_declarations
 from pyomo_quad.collocation.reading.model_source import LiveModel, declared_magnitudes
 from pyomo_quad.collocation.reading.schedules import BESIDE
+from pyomo_quad.collocation.reading.symbols import indexed_name
 from pyomo_quad.collocation.reading.values import Instance, ModelValues, Overrides
 from pyomo_quad.collocation.reading.writer import symbol_names
 
@@ -207,7 +208,8 @@ class Evaluator:
         component : str
             Full name of the variable or expression.
         index : optional
-            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``.
+            Index of the component without the time: i for ``x[i, t]``; omitted for ``x[t]``. For an
+            index that the component does not have, the result is True.
         """
         try:
             return self._writer.over_time(component, index_tuple(index)) is not None
@@ -302,9 +304,11 @@ class OutputStates:
         values = []
         for slot in declared.outputs:
             found = casadi.SX(np.nan)
+            # The value of o[1] at time 0 has the symbol o[1,0].
+            begun = indexed_name(slot.component, (*slot.index, "")).removesuffix("]")
             for condition in declared.output_starts:
                 for symbol in casadi.symvar(condition.expression):
-                    if symbol.name().startswith(f"{slot.component}["):
+                    if symbol.name().startswith(begun):
                         slope = casadi.jacobian(condition.expression, symbol)
                         offset = casadi.substitute(condition.expression, symbol, casadi.SX(0))
                         found = (condition.lower - offset) / slope
@@ -538,11 +542,11 @@ class Formulation:
         )
 
     def signals(self, instance: Instance, fractions: FloatArray) -> FloatArray:
-        """Return the time-dependent parameters at the given fractions of the horizon.
+        """Return the time-dependent data of the equations at the given fractions of the horizon.
 
-        `instance` holds the parameter values of one solve. The result has shape (n_fractions, 1 +
-        n_signals). The first column repeats `fractions`; each further column is one time-dependent
-        parameter.
+        `instance` holds the parameter values of one solve. The result has one row per fraction. Its
+        columns are the fraction, the time-dependent parameters, and the data of rules that branch
+        on time (`Declarations.scheduled`).
         """
         if not self.compiled.declared.has_signals:
             return fractions[:, None]
@@ -598,8 +602,8 @@ class Formulation:
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
 
-        A limit is infinite where none is declared, or where it varies with time. `instance` holds
-        the parameter values on which the limits depend.
+        A limit is infinite where none is declared, or where it varies with time. To find out, it is
+        evaluated at four times. `instance` holds the parameter values on which the limits depend.
         """
         compiled, first = self.compiled, len(self.compiled.declared.states)
         data = self.data_of(instance, np.array(_LOOKED_AT)).at_points()

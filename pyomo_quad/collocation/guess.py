@@ -68,7 +68,8 @@ def initial_point(
     values : ModelValues
         Reader of the values in the Pyomo model.
     guess : mapping, DataFrame or Trajectory, optional
-        The user's initial values of the variables; see `Guess`.
+        The user's initial values of the variables; see `Guess`. A Trajectory is only interpolated
+        and moved inside the bounds.
 
     Returns
     -------

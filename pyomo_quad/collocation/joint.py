@@ -284,8 +284,9 @@ class JointProblem(Summarised):
         ----------
         mesh : Mesh or mapping, optional
             A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
-            If a `tolerance` is given, these are the initial meshes of the refinement. Otherwise
-            they are used unchanged.
+            If a `tolerance` is given, these are only the initial meshes. Element boundaries are
+            added at conditions, fixed values and jumps of parameters. By default, the initial
+            meshes are those of the warm start, or `first_mesh` of `refinement`.
         guess : mapping, optional
             Initial values by the name of a variable: a function of time, a constant, or samples.
             The key "time" maps to the times of all samples. A key may also be the name of a
@@ -493,7 +494,8 @@ class JointProblem(Summarised):
             Whether Ipopt solves the scaled program; if False, Ipopt solves the unscaled program.
         change : float, optional
             Expected difference between the objective and its value at the warm start, in the unit
-            of the objective. The expected difference determines the initial barrier parameter.
+            of the objective. The expected difference determines the initial barrier parameter. It
+            has no effect without a warm start, or with damping.
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
 
@@ -542,7 +544,8 @@ class JointProblem(Summarised):
         """Return a failed solution with a verdict: whether its problem is infeasible.
 
         The verdict follows from the least sum of constraint violations that Ipopt finds near the
-        last iterate. If `progress` returns False, the minimisation stops.
+        last iterate. If `progress` returns False, the minimisation stops, and the status becomes
+        `INTERRUPTED`. If the last iterate is not finite, the solution is returned unchanged.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -701,7 +704,7 @@ class JointProblem(Summarised):
         Raises
         ------
         TranscriptionError
-            If the problem was pickled; a pickle does not contain the model.
+            If the problem of the solution was restored from a pickle, which contains no model.
         """
         load_values(*solution.horizons.values(), solution.coupling)
 

@@ -22,9 +22,10 @@ class Violation:
     size : float
         Amount by which the limit is exceeded, in the limit's unit; 0 if the limit is satisfied.
     bound : float
-        Value of the limit at the time of the worst violation.
+        Value of the limit at the time of the worst violation; 0 if it is infinite.
     time : float
-        Physical time of the worst violation.
+        Physical time of the worst violation. For a satisfied limit, the time at which the quantity
+        is nearest to it.
     """
 
     name: str

@@ -176,7 +176,8 @@ def real_array(
     Raises
     ------
     TranscriptionError
-        If the array is missing, not real and finite, or of another shape.
+        If the array is missing, has another type than float64 or another shape, or holds a number
+        that is not finite.
 
     Examples
     --------
@@ -598,7 +599,8 @@ class Mesh(Summarised):
     Raises
     ------
     TranscriptionError
-        If the boundaries do not increase from 0 to 1, or a degree is below 1.
+        If the boundaries do not increase from 0 to 1, a degree is not a whole number of at least 1,
+        or the lengths of the tuples do not match.
     """
 
     breakpoints: tuple[float, ...]
@@ -666,7 +668,8 @@ class Mesh(Summarised):
         Raises
         ------
         TranscriptionError
-            If an array is missing or of the wrong type, or the two arrays do not define a mesh.
+            If an array is missing or of the wrong type, a degree is above 100, or the two arrays do
+            not define a mesh.
         """
         breakpoints = real_array(arrays, "breakpoints", (None,))
         degrees = arrays.get("degrees")

@@ -4,7 +4,7 @@ The steps have order 8, with the coefficients and the error estimate of SciPy's 
 itself calls Python for each of the twelve stages of a step. Here all stages form one CasADi
 function. This is faster, especially for many short flights.
 
-While a plan is computed, flights are simulated by this module. The finished plan is verified with
+The module serves simulations during the search for a plan. The finished plan is verified with
 SciPy's own integrator.
 """
 
@@ -59,7 +59,7 @@ class OpenLoopSteps:
     ) -> FloatArray:
         """Simulate the vehicle over given times.
 
-        One Runge-Kutta step leads from each time to the next. If a time-dependent parameter jumps
+        One Runge-Kutta step leads from each time to the next. If a parameter given as `Steps` jumps
         in between, a step ends at the jump. A step whose estimated error is above the tolerance is
         replaced by shorter steps.
 
@@ -83,7 +83,7 @@ class OpenLoopSteps:
         Raises
         ------
         SolveError
-            If the vehicle needs more than 300 steps between two neighbouring times.
+            If 300 steps, rejected ones included, do not suffice between two neighbouring times.
         """
         jumps = self._dynamics.steps_between(float(times[0]), float(times[-1]))
         ends = np.union1d(times, jumps)
@@ -111,7 +111,7 @@ class OpenLoopSteps:
         Raises
         ------
         SolveError
-            If the span needs more than 300 steps.
+            If 300 steps, rejected ones included, do not suffice.
         """
         start, ends = span[0], [span[1], 0.5 * (span[0] + span[1])]
         for _ in range(_MOST_STEPS):

@@ -131,7 +131,9 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh, optional
-            Used unchanged if no `tolerance` is given; otherwise the initial mesh.
+            Mesh of the solve; only the initial mesh if a `tolerance` is given. Element boundaries
+            are added at conditions, fixed values and jumps of parameters. By default, the initial
+            mesh is that of the warm start, or `first_mesh` of `refinement`.
         tolerance : float, optional
             Required relative error of the states; default 1e-6 if no mesh is given.
         parameters : mapping, optional
@@ -144,7 +146,7 @@ class Problem(Summarised, Formulation):
             a constant, or samples. The key "time" maps to the times of all samples. The DataFrame
             that `Solution.to_frame` returns is a mapping of this kind. If start or end of the
             horizon is a variable, functions take the fraction of the horizon, and samples span the
-            horizon from its start to its end.
+            horizon from its start to its end. A `Trajectory` on any mesh is accepted, too.
         warm_start : Solution or WarmStart, optional
             Solution of the same model on any mesh; its trajectory and multipliers are the initial
             point.
@@ -154,8 +156,8 @@ class Problem(Summarised, Formulation):
             Settings of the mesh refinement.
         starts : int, default 1
             Number of initial points on the first mesh. One point is the guess or warm start; the
-            others are random points between the bounds. The best optimum is kept. A global optimum
-            is not guaranteed.
+            others are random points between the bounds, drawn with fixed seeds. The best optimum is
+            kept. A global optimum is not guaranteed.
         progress : callable, optional
             Called at each iteration of Ipopt with an `Iteration`, a record of Ipopt's progress;
             returning False stops the solve.
@@ -169,7 +171,8 @@ class Problem(Summarised, Formulation):
         Raises
         ------
         TranscriptionError
-            If bounds cross, a value is missing, or an equation is not finite at the guess.
+            If an argument is invalid, bounds cross, a value is missing, linear equations contradict
+            each other, or an equation is not finite at the guess.
         """
         if starts < 1:
             raise TranscriptionError(f"starts: {starts}; must be at least 1.")
@@ -327,7 +330,8 @@ class Problem(Summarised, Formulation):
         """Solve from the given start and from `starts` - 1 random points; return the best optimum.
 
         `solve` maps a start to the solution on the first mesh. The result is None if no solve
-        converged. After an interruption, no further points are tried.
+        converged. A random point at which an equation is undefined is skipped. After an
+        interruption, no further points are tried.
         """
         found = []
         for seed in range(starts):
@@ -382,13 +386,15 @@ class Problem(Summarised, Formulation):
             is negligible relative to the objective.
         change : float, optional
             Expected difference between the objective and its value at the warm start, in the unit
-            of the objective. The expected difference determines the initial barrier parameter.
+            of the objective. The expected difference determines the initial barrier parameter. It
+            has no effect without a warm start, or with damping.
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of the variables' bounds between the collocation points, relative to
             max(1, abs(bound)). If `breach` is finite and `start` is a warm start, additional
-            constraints of the program limit the violation to this amount.
+            constraints of the program limit the violation to this amount. They act only in elements
+            where the warm start is near a bound.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
@@ -399,7 +405,8 @@ class Problem(Summarised, Formulation):
         Raises
         ------
         TranscriptionError
-            If bounds cross, a value is missing, or an equation is not finite at the initial point.
+            If bounds cross, a value is missing, linear equations contradict each other, or an
+            equation is not finite at the initial point.
         """
         if mesh is not None:
             mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
@@ -476,6 +483,12 @@ class Problem(Summarised, Formulation):
         Returns
         -------
         Dynamics
+
+        Raises
+        ------
+        TranscriptionError
+            If an argument is invalid, or if the equations are not as many as the rates and the
+            algebraic variables that they determine.
         """
         declared = self.compiled.declared
         if statics is None:
@@ -496,7 +509,7 @@ class Problem(Summarised, Formulation):
         Raises
         ------
         TranscriptionError
-            If the problem was pickled; a pickle does not contain the model.
+            If the problem of the solution was restored from a pickle, which contains no model.
         """
         load_values(solution)
 

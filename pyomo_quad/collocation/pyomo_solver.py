@@ -62,8 +62,9 @@ class PyomoSolver:
     Parameters
     ----------
     **options
-        Options of Ipopt by name, for all solves. The argument `options` of `solve` supplements or
-        overrides these options for a single solve.
+        Options of Ipopt by name, for all solves. They can also be given as a dictionary under the
+        name `options`. The argument `options` of `solve` supplements or overrides them for a single
+        solve. The name `solver_io` is ignored.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -121,12 +122,13 @@ class PyomoSolver:
             Wall-clock time limit [s] for all meshes together; it replaces the Ipopt option
             `max_wall_time`.
         warmstart : bool, optional
-            Start from the trajectory and multipliers that this solver last found for the model.
-            Otherwise the values of the model's variables are the initial point.
+            Start from the trajectory and multipliers of the last solve of this model by this solver
+            that converged. Without it, the values of the model's variables are the initial point.
         options : dict, optional
             Ipopt options by name.
         load_solutions : bool, optional
-            Whether to load the solution's values, integrals included, into the model.
+            Whether to load the solution's values, integrals included, into the model. The values
+            are also loaded after a failed solve.
         symbolic_solver_labels : bool, optional
             Ignored: messages always name the model's components.
         final_time : Var, optional

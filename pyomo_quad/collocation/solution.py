@@ -114,13 +114,14 @@ class MeshRecord:
     elements, points : int
         Numbers of elements and collocation points, over all horizons.
     iterations : int
-        Iterations of Ipopt.
+        Iterations of Ipopt in the last solve on the mesh.
     objective : float
         Value of the objective as the Pyomo model declares it, whether minimised or maximised.
     error : float
-        Estimated largest relative error of the states.
+        Largest estimated relative error of any kind (see
+        `collocation.refining.error.ErrorEstimate`).
     wall_s : float
-        Wall-clock time of Ipopt [s].
+        Wall-clock time of Ipopt in the last solve on the mesh [s].
     """
 
     elements: int
@@ -151,7 +152,8 @@ class Outcome(Summarised):
     wall_s : float
         Wall-clock time of the last solve [s].
     error_estimate : float
-        Largest estimated relative error of a state in a single element; infinite if not estimated.
+        Largest estimated relative error of any kind, for example of a state or of the objective;
+        infinite if not estimated. For the kinds, see `collocation.refining.error.ErrorEstimate`.
     state_error : float
         Estimated distance of the states from the optimal states, relative to the magnitudes of the
         states. It is at least the sum of the errors of all elements. It can be larger in two cases:
@@ -159,12 +161,13 @@ class Outcome(Summarised):
         switching function). On a singular arc, even larger errors of the states hardly change the
         objective. Infinite if not estimated.
     history : tuple of MeshRecord
-        One record per mesh.
+        One record per mesh; empty without refinement.
     cold_start : ColdStart or None
         Numbers of iterations that a solve from the guess (cold start) took. A solve from a warm
         start takes these numbers over from the warm start.
     tried : tuple of str
-        Name and status of each solution strategy that was tried; empty if the first one succeeded.
+        Name and status of each solution strategy that was tried, except on meshes where the first
+        one succeeded. A restart of the refinement has only its name.
     """
 
     status: Status
@@ -430,7 +433,8 @@ class Solution(Outcome):
         Raises
         ------
         TranscriptionError
-            If the model has no such component, or a time lies outside the horizon.
+            If the model has no such component, if `t` is missing for a component over time, or if a
+            time lies outside the horizon.
         """
         name = component if isinstance(component, str) else component.name
         if t is None:
@@ -638,6 +642,11 @@ class Solution(Outcome):
             Column "time" comes first, then one column per variable, named as in
             ``rotors.omega[1]``. If a variable of the model is called "time", its column is "time
             (variable)".
+
+        Raises
+        ------
+        TranscriptionError
+            If a time lies outside the horizon.
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 

@@ -40,7 +40,7 @@ S = TypeVar("S", bound=Outcome)
 class _WholeSolve(Search[S], Generic[S]):
     """Solve from a warm start; if this is too slow, solve from the guess.
 
-    The base class `Search` tries these solution strategies in order.
+    The function `first_success` tries these solution strategies in order.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class _WholeSolve(Search[S], Generic[S]):
     spent : int
         Iterations of the last solve from the warm start.
     has_ended : bool
-        Whether the most recent solve ended by itself; False if its budget was used up.
+        Whether the most recent result ends the search (see `is_final`).
     """
 
     solve: Callable[[Start, Progress], S]
@@ -106,7 +106,8 @@ class _WholeSolve(Search[S], Generic[S]):
         """Solve from the guess, without the warm start, and record the number of iterations.
 
         The number is recorded in the attribute `cold_start` of the result, and becomes the budget
-        of later solves from a warm start. `effort` counts the iterations of this solve.
+        of later solves from a warm start. If this is the first solve of the search and it does not
+        succeed, `cold_start` is None. `effort` counts the iterations of this solve.
         """
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
@@ -187,8 +188,8 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined if the caller gave a tolerance or no mesh. A refinement that fails or is
-    interrupted returns its most accurate solution, with the status of the failure.
+    The mesh is refined if the caller gave a tolerance or no mesh. If a refinement ends with the
+    status not converged or interrupted, the result is its most accurate solution, with this status.
 
     Parameters
     ----------
@@ -278,10 +279,11 @@ def _finished_of(finished: list[S], ended: S) -> S:
 
 
 def _in_time(solution: S, deadline: Effort) -> S:
-    """Add a message to a solution whose solve was interrupted by the time limit.
+    """Set message and return code of a solution whose solve was interrupted by the time limit.
 
-    `deadline` holds the time limit, and whether the solve exceeded it. If the solve ended for
-    another reason, `solution` is returned unchanged.
+    The attribute `ipopt_code` becomes `TIME_LIMIT_CODE`. `deadline` holds the time limit, and
+    whether the solve exceeded it. If the solve ended for another reason, `solution` is returned
+    unchanged.
     """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution

@@ -75,7 +75,7 @@ class WarmStart:
     """Trajectory and multipliers of a solution, stored without the problem that was solved.
 
     A later solve of the same equations, on any mesh, can start from this trajectory and these
-    multipliers.
+    multipliers. The arrays become read-only.
 
     Attributes
     ----------
@@ -362,7 +362,9 @@ class Start:
     def cold_start(self) -> ColdStart | None:
         """Record of the iterations that a solve from the guess took, as stored in the warm start.
 
-        None if there is no warm start, or if it contains no record.
+        With several horizons, it is the record in the first warm start. A later solve from the warm
+        start is given up if it takes more iterations than the record. None if there is no warm
+        start, or if the warm start contains no record.
         """
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start

@@ -55,9 +55,9 @@ class SteppedLoops:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own). The command is what
-        the law follows, for example a reference position; x are the vehicle's states; own are the
-        law's own states, for example of an integrator.
+        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. It is
+        called with symbols. The command is what the law follows, for example a reference position;
+        x are the vehicle's states; own are the law's own states, for example of an integrator.
     n_command, n_own : int
         Number of components of the command, and number of the law's own states.
     varied : sequence of str
@@ -109,7 +109,7 @@ class SteppedLoops:
         Raises
         ------
         SolveError
-            If a vehicle's state is no longer finite.
+            If a state is not finite at a stored time.
         """
         count, steps = len(start), len(times) - 1
         flown = np.empty((int(sampled.sum()), *start.shape))

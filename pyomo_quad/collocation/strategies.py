@@ -132,7 +132,8 @@ class Strategy:
         on all meshes together. The warm start may contain these two numbers. If they are missing or
         belong to another tolerance, there is no limit.
     times : int
-        How often the strategy may be tried.
+        How often the strategy may be tried. `first_success` tries each strategy once. Only the
+        refinement repeats a strategy, the restart, and counts up to `MOST_RESTARTS` itself.
     """
 
     scope: Scope
@@ -219,7 +220,7 @@ S = TypeVar("S", bound=Any)
 
 
 class Search(ABC, Generic[S]):
-    """Loop that tries solution strategies one after another until one of them succeeds.
+    """Search for a solution by strategies, which `first_success` tries one after another.
 
     A search tries the strategies of one `Scope` in the order of the table `STRATEGIES`. Subclasses
     define how a strategy is carried out, whether a condition is true, and which results end the

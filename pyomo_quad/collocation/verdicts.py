@@ -88,6 +88,7 @@ def verdict_on(failed: Solution, options: SolverOptions, progress: Progress | No
 
     Ipopt computes the point of least constraint violation near the last iterate. The violation at
     this point decides whether the status becomes infeasible, and which equations the message names.
+    If the last iterate is not finite, `failed` is returned unchanged.
 
     Parameters
     ----------
@@ -213,8 +214,8 @@ _RANGE_SLACK = 1e-6
 def outside_tables(solution: Solution) -> str:
     """Return a message on a table that the solution evaluates outside the range of its data.
 
-    The message names the table whose argument lies farthest outside, with the value of the
-    argument. It is empty if all arguments are inside.
+    The message names the table whose argument lies farthest outside, relative to the table's range,
+    with the value of the argument. It is empty if all arguments are inside.
     """
     program, z = solution.program, solution.unknowns
     tables = program.compiled.tables
@@ -291,8 +292,8 @@ def _undoubted(solution: S) -> S:
 def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    The message of the result names the table. A solution that has failed for another reason keeps
-    its status, and the text about the table is appended to its message.
+    The message of the result names the table. A solution whose status is not `CONVERGED` keeps its
+    status, and the text about the table is appended to its message.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:

@@ -78,7 +78,7 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the plan lacks a state, or the rate or duration exceeds PX4's limits.
+        If the plan lacks a state, or the rate or duration is outside PX4's limits.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "PX4's offboard mode")
     if not SLOWEST_STREAM_HZ < rate_hz <= FASTEST_STREAM_HZ:
@@ -111,6 +111,9 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
 
 def offboard_deviation(motion: Motion, stream: pd.DataFrame) -> tuple[float, float]:
     """Return the largest deviation of a stream of setpoints from the plan: position [m], yaw [rad].
+
+    Between the setpoints, the stream's position is a cubic spline (see `_between`). The yaw is
+    compared at the setpoints only.
 
     Parameters
     ----------
@@ -422,7 +425,8 @@ def export_plan(
 
         - There is no verified plan, or the simulation does not confirm the plan.
         - The plan lacks a state that the format needs, or exceeds a limit of the format.
-        - An option is not allowed for the format.
+        - An option is invalid, missing, or not allowed for the format.
+        - The output would replace the exported plan itself.
         - The library that writes the format is not installed.
     OutputError
         If the output cannot be written.
@@ -490,7 +494,12 @@ def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> Geodeti
     given : GeodeticOrigin or None
         Position that the user states by ``--origin``; if None, the mission's own origin is used.
     to : Format
-        Format of the export, for the error message if no origin is known.
+        Format of the export, for the error message.
+
+    Raises
+    ------
+    ScenarioError
+        If neither the user nor the mission states the position.
     """
     origin = given or motion.mission.mission.origin
     if origin is None:

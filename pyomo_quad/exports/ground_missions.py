@@ -163,7 +163,8 @@ def read_mission(
     """Convert a mission file of QGroundControl (.plan) or Mission Planner to a scenario.
 
     The flight begins with hovering at the altitude of the take-off, and ends with hovering above
-    the landing place. Its duration is free. The ground is assumed to be flat.
+    the landing place. Its duration is free. The scenario has flat ground, no wind (`calm`) and the
+    power model `momentum`.
 
     Parameters
     ----------
@@ -174,8 +175,8 @@ def read_mission(
     vehicle : str, optional
         A vehicle of the library, or a vehicle file.
     payload_kg : float, optional
-        Mass of a payload [kg], which the vehicle carries from the start and releases where the
-        mission opens a gripper or places a payload.
+        Mass of a payload [kg], which the vehicle carries from the start. It releases the whole
+        payload where the mission first opens a gripper or places a payload.
 
     Returns
     -------
@@ -188,8 +189,9 @@ def read_mission(
     Raises
     ------
     ScenarioError
-        If the file is not a mission, or the resulting scenario is invalid. Also if the file has a
-        command that can neither be converted nor left out. The message has one line.
+        If the file is not a mission with at least two places, or the resulting scenario is invalid.
+        Also if the file has a command that can neither be converted nor left out. The message has
+        one line.
 
     Examples
     --------
@@ -377,7 +379,9 @@ def _waypoint_file(text: str, source: str) -> _File:
 def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
     """Yield the places to which the vehicle flies in a ground station's mission, in order.
 
-    Successive places that are at most a millimetre apart are merged.
+    Successive places that are at most a millimetre apart are merged: their times of hover are
+    added, and their heading and radius are those of the first place. Commands without a place, such
+    as a delay, act on the last place. The mission ends where the vehicle circles without end.
 
     Parameters
     ----------
@@ -425,8 +429,8 @@ def _place_of(
 
     - A return to the launch place leads to the first place.
     - A landing leads to a place above the landing point, at the height of the first place.
-    - A command without latitude and longitude takes both from the last place or, at the start of
-      the mission, from the home position.
+    - A command whose latitude and longitude are both missing or zero takes them from the last place
+      or, at the start of the mission, from the home position.
 
     Parameters
     ----------
@@ -440,6 +444,11 @@ def _place_of(
         Last place before this command; None at the start of the mission.
     notes : Counter of str
         Contents of the file that a scenario cannot represent, to which the function adds.
+
+    Raises
+    ------
+    ScenarioError
+        If the command repeats a part of the mission (`DO_JUMP`), or has an invalid value.
     """
     if item.command == Command.RETURN_TO_LAUNCH and first is not None:
         return _Place(position=dict(first.position))
@@ -547,7 +556,7 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
     opened = [place for place in places if place.is_opened_at]
     if opened and not payload_kg:
         notes["the release of a payload; give --payload KG"] += 1
-    elif opened and opened[0] in (places[0], places[-1]):
+    elif opened and any(opened[0] is end for end in (places[0], places[-1])):
         notes["the release of the payload at an end of the flight"] += 1
     elif opened:
         opened[0].release = payload_kg

@@ -128,6 +128,11 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
         The plan's motion.
     path_error_m : float
         Largest permitted distance from the plan [m].
+
+    Raises
+    ------
+    ScenarioError
+        If the plan lacks a position.
     """
     motion.require(POSITION_STATES, "a QGroundControl mission")
     passed = _passing_times(motion)

@@ -471,7 +471,7 @@ def fit_pieces(
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
     The spline has degree 7 and continuous derivatives up to the sixth. At both ends of the flight
-    it has the plan's velocity, acceleration and jerk.
+    it has the plan's velocity, acceleration and jerk, but zero as the third derivative of the yaw.
 
     Parameters
     ----------
@@ -493,7 +493,8 @@ def fit_pieces(
     Raises
     ------
     ScenarioError
-        If the largest number of pieces does not suffice.
+        If the plan lacks position, velocity or yaw, or the largest number of pieces does not
+        suffice.
     """
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "a polynomial")
     found = 0.0

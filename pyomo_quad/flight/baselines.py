@@ -83,8 +83,8 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
     Raises
     ------
     ScenarioError
-        If there is no plan, and a user's own model has a state whose initial value the mission does
-        not define.
+        If the initial value of a state is unknown, for example of a user's own model without a
+        plan.
     """
     if plan is not None:
         held = plan.trajectories
@@ -117,7 +117,7 @@ def declared_start(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states that the mission defines: hover at its start, and battery states.
 
     In hover, velocity, body rates, roll and pitch are zero. The yaw angle is the heading at the
-    start of the mission.
+    start of the mission. Other states of a user's own model are left out.
 
     Parameters
     ----------
@@ -250,8 +250,8 @@ class TumblingGuard:
 class Integrator(StrEnum):
     """Integration methods of SciPy for simulated flights: `DOP853` and `LSODA`.
 
-    Each flight is simulated by both methods, which share no code. A flight is verified only if the
-    two methods agree on its final position and its energy.
+    The two methods share no code. A flight is verified only if it is simulated by both, and they
+    agree on its final position and its energy.
     """
 
     RUNGE_KUTTA = "DOP853"
@@ -326,7 +326,8 @@ def fly(
     ------
     SolveError
         If the integration fails, or if the vehicle tumbles. A vehicle counts as tumbling if the
-        integrator needs too many evaluations.
+        integrator needs too many evaluations. Also, as `TimeIsUpError`, at the time limit of an
+        enclosing `Deadline`.
     """
     if system is None:
         system = closed_loop(dynamics, controller)
@@ -467,7 +468,7 @@ def fly_baseline(
     """Simulate a mission under the adaptive controller along a reference, and verify the flight.
 
     The flight is verified if the battery can supply the power, and two integrators that share no
-    code agree. Final position and energy must agree within the tolerances of plans.
+    code agree. Final position and energy must agree within the tolerances of the accuracy `proof`.
 
     Parameters
     ----------
@@ -479,9 +480,10 @@ def fly_baseline(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        The plan to follow, if the reference is the plan. For every reference, the final costates of
-        a given plan are used to estimate the energy still needed at the end of the flight. This is
-        the energy to get from the final state to hover at the goal.
+        The plan to follow, if the reference is the plan. For every reference, the flight starts in
+        the initial state of a given plan. Its final costates are used to estimate the energy still
+        needed at the end of the flight. This is the energy to get from the final state to hover at
+        the goal.
 
     Returns
     -------
@@ -496,7 +498,7 @@ def fly_baseline(
         If the reference is the plan but no plan is given, or if the simulated vehicle is not a
         quadrotor.
     SolveError
-        If the flight is out of control.
+        If the flight is out of control, its integration fails, or the time is up (see `fly`).
     """
     began = perf_counter()
     first = fly_reference(scenario, reference, dynamics=dynamics, plan=plan)
@@ -556,6 +558,11 @@ def fly_reference(
     -------
     ClosedLoopFlight
         Samples of vehicle and controller.
+
+    Raises
+    ------
+    ScenarioError, SolveError
+        As for `fly_baseline`.
     """
     refuse_other_vehicles(scenario, dynamics)
     duration = scenario.mission.fixed_duration
@@ -669,8 +676,9 @@ def assembled_flight(
     Returns
     -------
     Flight
-        The whole flight. It is verified if the integrators agree on each part and the battery can
-        supply the power. The attribute `owed_energy_J` is the estimate of the energy still needed.
+        The whole flight. It is verified if the battery can supply the power, and the differences
+        between the integrators, summed over the parts, are small. The attribute `owed_energy_J` is
+        the estimate of the energy still needed.
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
@@ -711,8 +719,10 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    At a waypoint, the tolerances on arrival at the goal apply: `ARRIVAL_DISTANCE_M` [m] and
-    `ARRIVAL_SPEED_M_PER_S` [m/s]. In a mission with constant heading, the yaw rate is not checked.
+    Limits of the model have the tolerance of the scenario's accuracy. At a waypoint with a given
+    time, and in a hover, the arrival tolerances `ARRIVAL_DISTANCE_M` [m] and
+    `ARRIVAL_SPEED_M_PER_S` [m/s] are added to the limits on distance and speed. The limit
+    `mission.yaw_keeping` applies to plans only, and is not checked.
 
     Parameters
     ----------
@@ -762,8 +772,8 @@ class _Missed:
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
     """Yield a record for each violated limit on distance or speed at a waypoint.
 
-    Only waypoints with given times are checked. The tolerances are those on arrival at the goal:
-    `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s].
+    Only waypoints with given times are checked, at the sample nearest to that time. The arrival
+    tolerances `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s] are added to the limits.
     """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):

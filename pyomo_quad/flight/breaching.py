@@ -81,9 +81,10 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        Let d be the distance of the present plan from the limit. At times at which d equals the
-        present margin, the new plan has the distance `changed`. At other times, it has the distance
-        max(d, `changed`).
+        Let d be the distance of the present plan from the limit. At times at which d is close to
+        the present margin or below it, the new plan has the distance `changed`. At other times, it
+        has the distance max(d, `changed`). Close means within a quarter of the margin or of the
+        largest `deviation`, whichever is larger.
 
         Parameters
         ----------
@@ -283,6 +284,9 @@ class Miss:
 
 def missing(scenario: Scenario, spread: Spread) -> tuple[Miss, ...]:
     """Return random samples of flights: distances from goal and waypoints, and speeds there.
+
+    The random numbers have a fixed seed: equal input gives equal samples. Waypoints without a given
+    time are left out.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Candidate plan of a mission, which the planning strategies improve step by step.
 
-A candidate is the best solution found so far in the search for a plan. A strategy is an action with
-a condition for using it; the table in `flight.strategies` lists the strategies. The conditions and
+A candidate is the present solution in the search for a plan. A strategy is an action with a
+condition for using it; the table in `flight.strategies` lists the strategies. The conditions and
 actions are methods of the candidate. An action returns its outcome as text for the record of the
 search, or None if there is nothing to record.
 """
@@ -72,7 +72,7 @@ Start = Plan | WarmStart | Solution | AlongShortest
 
 @dataclass(kw_only=True)
 class Candidate:
-    """Best solution of a mission found so far, with its plan and the diagnosis of failures.
+    """Present solution of a mission in a search, with its plan and the diagnosis of failures.
 
     Attributes
     ----------
@@ -88,8 +88,9 @@ class Candidate:
         the mission's solution along its shortest route (`AlongShortest`). None if the search has no
         starting point.
     solution : Solution or None
-        The best solution found so far: at first the result of the first solve, converged or not,
-        later for example that of a successful retry. None before the first solve.
+        The solution from which the plan is made. A first solve stores its result, converged or
+        not, without a comparison. A retry stores its result only if it succeeds. None before the
+        first solve.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
@@ -148,7 +149,13 @@ class Candidate:
 
     @property
     def plan(self) -> Plan:
-        """Plan made from the solution found so far, verified or not."""
+        """Plan made from the solution found so far, verified or not.
+
+        Raises
+        ------
+        RuntimeError
+            Before any strategy has made a solution.
+        """
         if self.flown is not None:
             return self.flown
         return replace(self.plan_of(self.found), routes=self.routes, failure=self.failure)
@@ -177,6 +184,8 @@ class Candidate:
     def fly_routes(self) -> str | None:
         """Solve the mission along each of its candidate routes and keep the best solution.
 
+        The method sets the attributes `solution`, `routes` and `is_closed`.
+
         Returns
         -------
         str or None
@@ -195,7 +204,7 @@ class Candidate:
         """Solve the mission from the solution of a similar problem, on the mesh of that solution.
 
         The solution of the similar problem is the attribute `start`, the starting point of the
-        search. It serves as initial guess.
+        search. It serves as initial guess. The result becomes `solution`, even if it failed.
 
         Returns
         -------
@@ -237,8 +246,8 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        If the model has no regeneration (braking rotors return no energy), a result that has not
-        converged is discarded.
+        The result becomes `solution`, even if it failed. But if the model has no regeneration
+        (braking rotors return no energy), a result with the status not converged is discarded.
 
         Returns
         -------
@@ -265,7 +274,7 @@ class Candidate:
         """Solve the mission from the trajectory of a plan, on the mesh of that plan.
 
         The plan is the attribute `start`, the starting point of the search. Its trajectory serves
-        as initial guess.
+        as initial guess. The result becomes `solution`, even if it failed.
 
         Returns
         -------
@@ -297,8 +306,10 @@ class Candidate:
     def from_cruise(self) -> str | None:
         """Solve the mission with steady flight as initial guess.
 
-        The mesh has short elements at both ends of the flight, where the vehicle accelerates and
-        brakes.
+        The meshes have short elements at both ends of the flight, where the vehicle accelerates and
+        brakes. A solve on a rough mesh comes first; if it succeeds, the mission is solved from its
+        result on a fine mesh, with refinement. The last result becomes `solution`, even if it
+        failed.
 
         Returns
         -------
@@ -327,6 +338,8 @@ class Candidate:
 
     def from_nothing(self) -> str | None:
         """Solve the mission from the default initial guess of the model.
+
+        The result becomes `solution`, even if it failed.
 
         Returns
         -------
@@ -361,13 +374,14 @@ class Candidate:
     def past_waypoints(self) -> str | None:
         """Solve the failed mission again, starting from the solution of an easier mission.
 
-        The waypoints of the easier mission have no radius and no speed limit.
+        The waypoints of the easier mission have no radius and no speed limit. The new solution is
+        kept if its solve succeeds.
 
         Returns
         -------
         str or None
-            The solver's status for the mission itself; None if the solve of the easier mission
-            fails.
+            The solver's status for the mission itself; None if there is no easier mission, or if
+            its solve fails.
         """
         past = self.mission.past_waypoints
         plain = None if past is None else past.solve_roughly()
@@ -379,7 +393,8 @@ class Candidate:
         """Diagnose the failed solve by an elastic problem, and solve the mission again.
 
         The elastic problem minimises the violation of the mission's limits. A solution without
-        violations is a feasible point of the mission. The mission is solved again from this point.
+        violations is a feasible point of the mission. The mission is solved again from this point,
+        and the new solution is kept if its solve succeeds. The method sets `diagnosis`.
 
         Returns
         -------
@@ -403,8 +418,9 @@ class Candidate:
         """Solve the mission with its duration multiplied by ``by``.
 
         The solve starts from the solution that the previous call of this method found, if any.
-        Otherwise it starts from the default guess of the model. The new solution is kept as a
-        starting point for the method `speed_up`.
+        Otherwise it starts from the default guess of the model. If the solve succeeds, its
+        trajectory becomes the attribute `slower`, the starting point for the method `speed_up`. If
+        the solve is interrupted, its result becomes `solution`.
 
         Returns
         -------
@@ -543,8 +559,9 @@ class Candidate:
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
-        The elastic problem is solved with one limit relaxed, for each of the first violated or
-        active limits in `diagnosis`. Each item has the necessary relaxation.
+        The elastic problem is solved with one limit relaxed, for each of the first three violated
+        or active limits of the table `limits` in `diagnosis`. Each item has the necessary
+        relaxation.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
@@ -588,8 +605,9 @@ class Candidate:
     def keep_limits(self) -> str | None:
         """Solve again with stricter values of the limits that the simulated flight breaks.
 
-        The solve is repeated until the simulated flight keeps the mission's own limits, but only a
-        few times. The last plan becomes the attribute `flown`.
+        The solve is repeated until the simulated flight keeps the mission's own limits, but at most
+        four times. The last plan becomes the attribute `flown`. If a plan costs less than the
+        present solution, its solution becomes the attribute `solution`, and the repetition ends.
 
         Returns
         -------
@@ -641,7 +659,8 @@ class Candidate:
         """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
         The solve begins on the present mesh, with shorter elements where the simulated flight
-        entered keep-out zones.
+        entered keep-out zones. If it converges, `solution` and `flown` are replaced. The attribute
+        `tolerance` may be reduced in any case.
 
         Returns
         -------

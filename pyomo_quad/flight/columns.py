@@ -180,10 +180,10 @@ _COLUMN_OF = {shown.variable or shown.name: shown for shown in ALL_COLUMNS}
 
 
 def column_of(variable: str) -> Column:
-    """Return the column with a given heading, or for a given variable of the model.
+    """Return the column of a flight's table for a given variable of the model.
 
-    `variable` is the heading of the column, or the full name of the variable in the model, such as
-    "rotors.omega[1]".
+    `variable` is the full name of the variable, such as "rotors.omega[1]"; for the energy, it is
+    the heading `ENERGY`. An unknown name raises a KeyError.
     """
     return _COLUMN_OF[variable]
 

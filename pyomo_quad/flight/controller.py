@@ -674,6 +674,9 @@ class ThrustEnvelope:
     def _reach(self, along: float, upward: float, planned: Sequence[float]) -> float:
         """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
+        The vertical thrust must balance at least 30 % of the weight, or what `planned` needs if
+        that is less.
+
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
         direction. `planned` is in m/s^2.
         """
@@ -746,7 +749,7 @@ class AdaptiveController:
         Thrust and moments per squared rotor speed, as `mixer_matrix` returns them.
     learnt : sequence of three floats, optional
         Initial estimate of the acceleration that the air causes [m/s^2], from an earlier part of
-        the flight.
+        the flight. It is ignored if `baseline.adaptation` of the scenario is false.
     """
 
     def __init__(
@@ -872,15 +875,15 @@ class AdaptiveController:
         body : sequence of twelve floats
             Position, velocity, attitude and body rates of the vehicle, in the order of the names in
             `MEASURED_STATES`.
-        omega : sequence of four floats
-            Rotor speeds, rad/s.
+        omega : sequence of float
+            Speed of each rotor, rad/s.
         states : sequence of 22 floats
             States of the controller, in the order of the names in `CONTROLLER_STATES`.
 
         Returns
         -------
-        alpha : list of four floats
-            Rotor accelerations within their limit, rad/s^2.
+        alpha : list of float
+            Acceleration of each rotor within its limit, rad/s^2.
         rates : list of 22 floats
             Time derivatives of the controller's states.
         """
@@ -919,7 +922,8 @@ class AdaptiveController:
     def _most_rotor_acceleration(self, speed: float) -> float:
         """Return the largest rotor acceleration at the rotor speed `speed` [rad/s], in rad/s^2.
 
-        Near the largest rotor speed, the lag of the motors reduces this acceleration.
+        It limits gathering and losing speed alike. Near the largest rotor speed, the lag of the
+        motors reduces it.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:

@@ -25,6 +25,7 @@ from pyomo_quad.collocation import SolveError
 from pyomo_quad.flight.routes import Journey, Route
 from pyomo_quad.flight.steady import SteadyFlight
 from pyomo_quad.flight.zones import MARGIN_M, are_blocked
+from pyomo_quad.model.wind_field import with_nearest_wind
 from pyomo_quad.scenario import Scenario
 from pyomo_quad.scenario.wind import Beyond, WindCoupling
 
@@ -52,8 +53,8 @@ _SHARES = (0.0, 0.5, 1.0)
 def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
     """Return a function that gives the power of level flight in still air [W] for airspeeds [m/s].
 
-    The function interpolates a table of airspeeds at which the vehicle can fly steadily. Above the
-    largest of these airspeeds, its value is infinite.
+    The function interpolates a table of airspeeds up to 24 m/s, or up to the first airspeed at
+    which the vehicle has no steady flight. Above the table, its value is infinite.
     """
     speeds, powers = [], []
     near = None
@@ -64,8 +65,9 @@ def steady_power(steady: SteadyFlight) -> Callable[[FloatArray], FloatArray]:
             break
         speeds.append(speed)
         powers.append(near.power_W)
-    fastest = speeds[-1] if speeds else -inf
-    return lambda airspeed: np.where(airspeed <= fastest, np.interp(airspeed, speeds, powers), inf)
+    if not speeds:  # The vehicle cannot even hover.
+        speeds, powers = [0.0], [inf]
+    return lambda airspeed: np.interp(airspeed, speeds, powers, right=inf)
 
 
 class WindMap:
@@ -80,7 +82,8 @@ class WindMap:
             raise ValueError(f"{told.name} has no wind.field")
         self._grid, self._is_held = grid, wind.beyond is Beyond.HOLD
         self._scale, self._offset = wind.field_scale, wind.time_offset
-        values = np.moveaxis(grid.components[:2], 0, -1)
+        values = with_nearest_wind(grid) if self._is_held else grid.components
+        values = np.moveaxis(values[:2], 0, -1)
         from scipy.interpolate import RegularGridInterpolator  # noqa: PLC0415  for fields alone
 
         # The Pyomo model represents the wind by a spline. The search for routes evaluates the wind
@@ -93,7 +96,8 @@ class WindMap:
         """Return the horizontal wind [m/s] at n places and times in flight, shape (n, 2).
 
         `places` has shape (n, 3), m, and `times` shape (n,), s. The wind is NaN at places and times
-        for which the field gives no value.
+        for which the field gives no value. If `wind.beyond` is "hold", there is no NaN: outside the
+        field, the wind is that at its edge, and missing values of the field count as zero.
         """
         grid, when = self._grid, times + self._offset
         columns = [*places[:, :2].T]
@@ -152,9 +156,10 @@ class LineCosts:
         Returns
         -------
         costs : ndarray, shape (n,)
-            Costs [J], infinite for a line through a keep-out zone or where the wind is unknown.
+            Costs [J]. They are infinite if a keep-out zone or the fence blocks a line, if the wind
+            on it is unknown, or if no ground speed allows steady flight.
         times : ndarray, shape (n,)
-            Times [s].
+            Times [s], meaningless if the cost is infinite.
         """
         way = stops - starts
         lengths = np.linalg.norm(way, axis=1)
@@ -198,13 +203,20 @@ class LineCosts:
 def has_corridors(told: Scenario) -> bool:
     """Return whether the energy of a route depends on its horizontal position in the wind.
 
-    `told` is the mission in its forecast wind. The wind must differ between horizontal positions,
-    and act through the airspeed (`wind.coupling = "drag"`).
+    `told` is the mission in its forecast wind, which must act through the airspeed
+    (`wind.coupling = "drag"`). The wind must differ between horizontal positions, or flights must
+    keep out of places without wind (`wind.beyond` is not "hold").
     """
     if told.wind.grid is None or told.wind.coupling is not WindCoupling.DRAG:
         return False
+    # Grid points without wind are NaN. Unless the nearest wind holds there, routes lead past them.
     values = told.wind.grid.components
-    return bool(np.any(values != values[:, :1, :1]))
+    known = np.isfinite(values)
+    if told.wind.beyond is not Beyond.HOLD and not known.all():
+        return True
+    least = np.where(known, values, inf).min(axis=(1, 2))
+    greatest = np.where(known, values, -inf).max(axis=(1, 2))
+    return bool(np.any(least < greatest))
 
 
 def estimate_of(journey: Journey) -> float | None:
@@ -237,8 +249,9 @@ def corridor_journeys(
     Returns
     -------
     tuple of Journey
-        The cheapest combinations of corridors, in the order of increasing energy, and then
-        `shortest`. Each route has its estimated energy.
+        The cheapest combinations of corridors, at most four, in the order of increasing energy, and
+        then `shortest`. Each route has its estimated energy, or None if that is unknown. A leg
+        without a corridor keeps its route from `shortest`.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -313,8 +326,8 @@ class Corridors:
     def energy_of(self, places: FloatArray) -> float | None:
         """Return the energy of steady flight along straight lines through places [J].
 
-        `places` has shape (n, 3), m. The result is None if a keep-out zone blocks a line, or if the
-        wind is unknown on a part of it.
+        `places` has shape (n, 3), m. The result is None if the cost of a line is infinite, for
+        example in a keep-out zone or where the wind is unknown (see `LineCosts.of`).
         """
         pieces = [
             np.linspace(a, b, 2 + int(np.linalg.norm(b - a) / self._way * _PLACES))[:-1]
@@ -450,8 +463,9 @@ class _Search:
     def corridors(self, separation: float) -> list[FloatArray]:
         """Return the corridors: cheap routes that lie apart, the cheapest first.
 
-        Two routes lie apart if one of them has a corner at a distance of at least `separation` [m]
-        from the other. Each route is an array of its corners [m], shape (n, 3).
+        A route lies apart from the routes found before if, for each of them, one of its corners is
+        at least `separation` [m] away. There are at most four corridors, at most about 3 % dearer
+        than the cheapest. Each route is an array of its corners [m], shape (n, 3).
         """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]

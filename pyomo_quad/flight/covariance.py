@@ -49,6 +49,9 @@ _LOST = 1e6
 class Spread:
     """Normal distribution of the states of flights in turbulence that follow a plan, at n times.
 
+    The states are those of the vehicle and of the turbulence filters, as `dynamics.state_names`
+    lists them.
+
     Attributes
     ----------
     t : ndarray, shape (n,)
@@ -56,11 +59,11 @@ class Spread:
     states, controls : ndarray, shapes (n, n_states), (n, n_controls)
         The flight without gusts (the mean).
     covariance : ndarray, shape (n, n_states, n_states)
-        Covariance of the vehicle's states.
+        Covariance of the states.
     onward : ndarray, shape (n - 1, n_states, n_states)
         Covariance between the states at one time (rows) and at the next time (columns).
     dynamics : Dynamics
-        Equations of the vehicle in the mean wind, without gusts.
+        Equations of the vehicle and of the turbulence filters, in the mean wind and without noise.
     """
 
     t: FloatArray
@@ -169,8 +172,8 @@ def propagated(
 def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return covariances of the states without overflow.
 
-    If a standard deviation exceeds `_LOST` at some time, all standard deviations are set to `_LOST`
-    from this time on. Every limit then counts as broken.
+    If a standard deviation exceeds `_LOST` or is not finite at some time, all standard deviations
+    are set to `_LOST` from this time on. Every limit then counts as broken.
 
     Parameters
     ----------

@@ -71,14 +71,15 @@ _CURRENT: ContextVar[_Watch | None] = ContextVar("time_limit", default=None)
 class Deadline:
     """Context manager that stops solves and simulations in its block at the scenario's time limit.
 
-    A command of the user, such as planning a mission, has a single time limit. In nested blocks,
-    the limit of the outermost deadline therefore applies, and the limit of an inner `scenario` is
-    ignored.
+    A simulation in the block raises `TimeIsUpError`. A solve stops only if the object is its
+    progress callback. The time counts from the construction of the object. In nested blocks, the
+    limit of the outermost deadline applies, because a command of the user has a single time limit.
 
     Parameters
     ----------
     scenario : Scenario
-        Scenario whose `solver.time_limit` is the limit [s of processor time].
+        Scenario whose `solver.time_limit` is the limit [s of processor time]; ignored in an inner
+        block.
     progress : callable, optional
         Progress callback of the caller, which may stop a solve earlier.
     longest_s : float, optional

@@ -111,7 +111,8 @@ class Ending:
     Attributes
     ----------
     energy_J, charge_used_percent : float
-        Energy spent, and charge drawn in per cent of the battery's capacity.
+        Energy spent, and charge drawn in per cent of the battery's capacity; the charge is 0 if the
+        model has no battery.
     miss_m, end_speed_m_per_s : float
         Distance from the goal at the end, and speed at the end.
     largest_deviation_m, peak_tilt_rad : float
@@ -222,7 +223,8 @@ class EnsembleSimulation:
         Parameters
         ----------
         draws : Draws
-            Random parameters, noise and initial states of the n flights.
+            Random parameters, noise and initial states of the n flights. The parameters and noise
+            must have every name in `varied`.
 
         Returns
         -------
@@ -231,6 +233,8 @@ class EnsembleSimulation:
 
         Raises
         ------
+        SolveError
+            If a state of a flight is not finite.
         TimeIsUpError
             If the limit on processor time, `solver.time_limit` in the scenario, has passed.
         """

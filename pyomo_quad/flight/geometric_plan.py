@@ -86,9 +86,9 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     Returns
     -------
     Plan or None
-        The plan that was simulated last, with the result of the simulation. The error estimate of
-        the plan is the relative difference between its energy and the energy of steady flight along
-        the route. The result is None in each of these cases:
+        The plan that was simulated last, confirmed or not; its attribute `verification` tells. The
+        error estimate of the plan is the relative difference between its energy and the energy of
+        steady flight along the route. The result is None in each of these cases:
 
         - There is no route, or no steady flight along it.
         - No path of an allowed duration keeps the limits.
@@ -195,8 +195,9 @@ def _first_usable(
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
     """Return a smooth path along a journey, whose duration the mission allows.
 
-    `pace` has the greatest speed and the greatest accelerations. The result is None if the path
-    cannot be flown in an allowed duration.
+    `pace` has the greatest speed and the greatest accelerations. If the mission does not allow the
+    resulting duration, the nearest allowed duration determines the speed, up to `fastest` [m/s].
+    The result is None if the path cannot be flown in an allowed duration.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits

@@ -38,7 +38,7 @@ _TIMED = RefinementOptions(damping=1.0, allowance=Allowance(limit_breach=inf))
 # Durations of the flights that approach the least time, relative to it: the flight of least time is
 # bang-bang and hard to verify.
 _ABOVE_LEAST = (1e-2, 3e-3, 1e-3, 3e-4)
-# Largest effort of a solve for one of these durations, relative to the solve for the first.
+# Largest effort of a solve for one of these durations, relative to the cheapest solve before.
 _MOST_EFFORT = 3.0
 
 
@@ -65,7 +65,14 @@ def shortest_flight(
     Returns
     -------
     Solution or None
-        Solution whose objective is the least duration [s]; None if the solve failed.
+        Solution whose objective is the least duration [s]. If only the solve with refinement to the
+        mission's tolerance failed, it is the solution on the first meshes. None if the first solve
+        failed or was stopped.
+
+    Raises
+    ------
+    ScenarioError
+        If a user's own model lacks a variable for a free time of the mission.
     """
     duration, settings = scenario.nominal_duration, scenario.solver
     bounds = _RANGE[0] * duration, _RANGE[1] * duration
@@ -187,7 +194,8 @@ class Approach:
         """Solve the mission for a duration of ``lasting`` [s], and append the plan to `plans`.
 
         The solve starts from the previous plan; the first solve starts from the solution of least
-        duration.
+        duration. A later solve is stopped if its effort exceeds three times that of the cheapest
+        solve before.
 
         Returns
         -------
@@ -205,7 +213,8 @@ class Approach:
     def closest(self) -> Plan:
         """Verified plan of the shortest duration, or the first plan if none is verified.
 
-        Its attribute `message` ends with its duration and the least duration of the mission.
+        It is a copy whose `scenario` is the mission of least time. Its `message` ends with its
+        duration and the least duration of the mission.
         """
         best = next((plan for plan in reversed(self.plans) if plan.is_verified), self.plans[0])
         message = (

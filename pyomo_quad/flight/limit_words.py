@@ -67,8 +67,9 @@ def limit_words(name: str) -> str:
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
     """Convert the value of a limit from the unit of the model to the unit printed in reports.
 
-    A squared speed or distance becomes the speed or distance itself. `size` and `unit` are value
-    and unit in the model.
+    A squared speed or distance becomes the speed or distance itself. `name`, `size` and `unit` are
+    name, value and unit in the model. If the model is a user's own, value and unit are returned
+    unchanged.
 
     Returns
     -------

@@ -3,7 +3,8 @@
 A vehicle changes its attitude within a second, however long the flight is. In a long flight, equal
 elements would be too long to resolve such a change. Therefore the mesh has short elements at both
 ends, and the length of the elements grows towards the middle. The cruise speed of the guess follows
-from the duration. If the duration is free, the guess has the speed of least cost per metre.
+from the duration. If the duration is free, the guess has the speed of least cost per metre, or a
+higher speed if the greatest allowed duration requires it.
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ _SAMPLES = 400
 def is_long(scenario: Scenario) -> bool:
     """Return whether a straight flight to the goal is long compared with a change of attitude.
 
-    Flights of missions with waypoints or keep-out zones are not straight; the result is then False.
+    It is long if each of `solver.elements` equal elements would last more than 3 s. In a mission
+    with waypoints or keep-out zones, the result is always False.
     """
     airspace = scenario.airspace
     is_straight = not (scenario.mission.waypoints or airspace.keep_out)
@@ -107,7 +109,7 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
         Initial guess. The names of states map to samples, shape (n,), and "time" to the times of
         the samples [s]. If the duration is free, "time" has the times as fractions of the duration,
         and "duration" maps to the duration [s]. None if start and goal coincide, or if there is no
-        steady flight at the cruise speed.
+        hover or no steady flight at the cruise speed.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 
@@ -175,8 +177,9 @@ def _columns(
 def _speed_for(distance: float, duration: float) -> float:
     """Return the cruise speed [m/s] of a flight over a distance [m] in a duration [s].
 
-    The flight starts and ends at rest. If the duration is too short, the result is the speed of the
-    quickest flight.
+    The flight starts and ends at rest, with the acceleration a = `_ACCELERATION` and limited jerk.
+    If the duration T is too short for the distance, the result is only a rough guess, a (T - 0.5) /
+    2. It is then negative for T < 0.5 s.
     """
     # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
     # jerk phases.
@@ -188,8 +191,8 @@ def _speed_for(distance: float, duration: float) -> float:
 def best_speed(steady: SteadyFlight, course: FloatArray, price_of_time: float) -> float:
     """Return the approximate ground speed of least cost per metre along a direction [m/s].
 
-    The cost is the energy plus `price_of_time` [W] times the duration. `course` is the unit vector
-    of the direction.
+    The cost is the energy plus `price_of_time` [W] times the duration. The search is restricted to
+    1 to 30 m/s. `steady` computes the power, and `course` is the unit vector of the direction.
     """
     near: Trim | None = None
 

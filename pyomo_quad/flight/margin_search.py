@@ -127,7 +127,8 @@ def _again(
     Returns
     -------
     Plan
-        Plan of the tightened scenario.
+        Plan of the tightened scenario. If the warm start of `plan` is missing or does not fit, the
+        scenario is solved anew, with refinement and verification even if `is_rough`.
     """
     told, start = tight.as_forecast(), plan.warm_start
     with Deadline(told, progress) as deadline:
@@ -165,8 +166,9 @@ class _Tried:
         For each limit at the goal or at a waypoint: random samples of the limited quantity. The
         quantity is the distance from the place or the speed there.
     is_refined : bool
-        True if the mesh was refined for this plan, and simulation verified the plan. If False, the
-        plan is on the mesh of the plan without margins.
+        True if the mesh was refined for this plan and the plan was simulated, with or without
+        success. If False, the plan has, as a rule, the mesh of the plan from which its solve
+        started.
     """
 
     plan: Plan
@@ -244,8 +246,9 @@ class _Tested:
 class MarginSearch:
     """Iterative search for the margins of one scenario, starting from its plan without margins.
 
-    Margins are the amounts by which limits are tightened for the plan. With the margins found, the
-    probability that a flight in turbulence breaks a limit is at most the allowed risk.
+    Margins are the amounts by which limits are tightened for the plan. The search aims at margins
+    with which a flight in turbulence breaks a limit at most with the probability `risk`. Such
+    margins may not exist; see `best`.
 
     Parameters
     ----------
@@ -287,7 +290,8 @@ class MarginSearch:
     def is_beyond_the_controller(self) -> bool:
         """Return whether the controller is too weak for the allowed risk, whatever the margins.
 
-        The criterion is a simulation of vehicles that hover at the goal in gusts. The controller is
+        If flights along the plan without margins are predicted to reach the goal, the result is
+        False. Otherwise vehicles that hover at the goal in gusts are simulated. The controller is
         too weak if the fraction that the gusts carry away is at least the allowed risk.
         """
         # Hovers are simulated only if flights along the plan without margins are predicted to miss
@@ -304,7 +308,8 @@ class MarginSearch:
         """Return a plan with margins that keeps the allowed risk, or else the plan of least risk.
 
         The risk is the probability that a flight in turbulence breaks any limit. Margins are the
-        amounts by which limits are tightened for the plan.
+        amounts by which limits are tightened for the plan. The plan's attribute `risk` states the
+        result of its test flights.
         """
         tried = self._settled(self._followed(self._begun))
         found: list[_Tested] = []
@@ -355,10 +360,10 @@ class MarginSearch:
         return self._seed
 
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
-        """Reduce margins that cost much energy, as long as test flights confirm the new plan.
+        """Reduce margins that cost much energy, if test flights confirm the new plan.
 
-        `best` passed its test, the plans in `failed` did not. The result is the plan of least
-        energy that passed.
+        `best` passed its test, the plans in `failed` did not. The new plan replaces `best` if it is
+        flyable, costs less energy, and at most half of the allowed number of flights fail.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -438,8 +443,8 @@ class MarginSearch:
     def _verified(self, tried: _Tried) -> _Tried:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
-        The statistics of flights are predicted again for the refined plan. A plan that has been
-        refined before is returned unchanged.
+        The statistics of flights are predicted again for the refined plan. A flyable plan is also
+        stored for `unfinished`. A plan that has been refined before is returned unchanged.
         """
         if tried.is_refined:
             return tried
@@ -455,8 +460,9 @@ class MarginSearch:
     def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
-        The returned plan has the original limits, and the original passing times of waypoints.
-        `margins` maps scenario fields to the amounts by which their limits were tightened.
+        The returned plan has the original limits. Its passing times are those that flights must
+        keep, see `margins.passing_times`. `margins` maps scenario fields to the amounts by which
+        their limits were tightened.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -496,8 +502,9 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        If `tried` does not, plans with larger reserves of thrust and tilt are solved. If
-        `_is_followed` accepts no plan, the result is the plan least likely to miss the goal.
+        If `tried` does not, plans with larger reserves of thrust and tilt are solved. The result is
+        the cheapest that `_is_followed` accepts, or else the plan least likely to miss the goal.
+        Later margins are at least those of the result.
         """
         if self._is_followed(tried):
             return tried
@@ -559,7 +566,9 @@ class MarginSearch:
     def _reserve(self, share: float) -> dict[str, float]:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
-        Each margin is ``share`` times the largest margin that leaves room for the mission. The
+        Each margin is ``share`` times the largest margin that leaves room for the mission. Tilt
+        also stays within the controller's limit. If the duration is free, at most 0.65 of the
+        largest margin is used, and a margin on the least duration makes the flight longer. The
         result maps scenario fields to margins.
         """
         mission = self._scenario.mission
@@ -579,8 +588,8 @@ class MarginSearch:
     def _steeper_than_the_controller(self) -> dict[str, float]:
         """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
 
-        The result maps scenario fields to the amounts. It is empty if the controller's tilt has no
-        limit.
+        The result maps scenario fields to the amounts, negative for a limit below the controller's.
+        It is empty if the controller's tilt has no limit.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -593,9 +602,9 @@ class MarginSearch:
     def _settled(self, tried: _Tried) -> _Tried:
         """Solve with new margins repeatedly, until the margins agree with the allowed risk.
 
-        The fixed-point iteration starts from the plan `tried`. It ends early if a solve fails, or
-        if flights along a new plan would miss the goal too often. The result is then the plan
-        before.
+        The fixed-point iteration starts from the plan `tried` and makes at most three plans. It
+        ends early if the user stops it, if a solve fails, or if flights along a new plan would miss
+        the goal too often. The result is then the plan before.
         """
         for _ in range(_PLANS):
             # A plan with other margins has another covariance, and so requires other margins.
@@ -711,8 +720,8 @@ class MarginSearch:
     def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        If a margin cannot grow, the reserve of thrust and tilt grows. The result maps each scenario
-        field to its new margin.
+        If such a limit has no margin, or its margin cannot grow, the reserve of thrust and tilt
+        grows, for all later plans too. The result maps each scenario field to its new margin.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)

@@ -77,7 +77,8 @@ class RiskTaken:
     asked : float
         Largest risk that the scenario allows.
     predicted : float
-        Risk predicted from the covariance of flights, by a linear model.
+        Risk predicted from the covariance of flights, by a linear model; 1 if the search ended
+        without a test.
     failed, flown : int
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
@@ -168,7 +169,8 @@ def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     """Return the scenario with its limits tightened by margins.
 
     `margins` maps the full name of a scenario field, such as "airspace.floor", to its margin. The
-    margin is the amount by which the limit in this field is tightened, in the unit of the field.
+    margin is the amount by which the limit in this field is tightened, in the unit of the field. A
+    field that is None, without a limit, stays None.
     """
     told = scenario.mission
     mission: dict[str, Any] = {
@@ -217,7 +219,7 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
     Its hover begins earlier and ends at the same time. Of `margins`, the keys `RADIUS` [m], `SPEED`
-    [m/s] and `HOLD` [s] are used.
+    [m/s] and `HOLD` [s] are used. At least 1 cm of the radius and a tenth of the speed remain.
     """
     changed: dict[str, float] = {}
     if waypoint.radius:
@@ -263,8 +265,10 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
-    `name` is the full name of the field, such as "airspace.floor". The mission may become
-    infeasible at smaller margins already.
+    `name` is the full name of a field that has a limit, such as "airspace.floor". For a field of
+    `limits`, the result is 80 % of the limit. For rotor speed and thrust, it is 80 % of the
+    difference between limit and hover. The mission may become infeasible at smaller margins
+    already.
     """
     # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
     # vehicle could hardly hover.

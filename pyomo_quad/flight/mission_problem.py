@@ -190,8 +190,9 @@ class MissionProblem:
     def solve_roughly(self, **chosen: Any) -> Solution:
         """Solve the mission on one mesh, with the parameter values that make it easiest.
 
-        These values give the widest smoothing of the power. ``chosen`` has arguments of the solve
-        that replace those of the property `arguments`.
+        These values give the widest smoothing of the power. If `easier` is empty, the mission's own
+        values are used. ``chosen`` has arguments of the solve that replace those of the property
+        `arguments`.
         """
         return self.solve(next(iter(self.easier), None), **{"tolerance": None} | chosen)
 
@@ -199,7 +200,8 @@ class MissionProblem:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
         Each problem is solved from the solution of an easier one. The mission itself is solved
-        last, with refinement of the mesh.
+        last, with refinement of the mesh. If it fails on a refined mesh, the continuation is
+        repeated there, at most six times.
 
         Parameters
         ----------
@@ -250,7 +252,8 @@ class MissionProblem:
         Returns
         -------
         Solution
-            Result of the last solve, converged or not.
+            Result of the last solve, converged or not. If a solve is interrupted, its last iterate
+            with the mission's parameters.
         Solution or None
             `reached` if it was given. Otherwise the first converged solution with easier values, or
             None if no solve with easier values converged.
@@ -291,8 +294,9 @@ class MissionProblem:
     def in_own_variables(other: Solution, own: Solution) -> Trajectory:
         """Convert the solution of another problem to the variables of the mission's problem.
 
-        ``own`` is any solution of the mission's problem. Variables that `other` lacks get their
-        values from ``own``.
+        ``own`` is any solution of the mission's problem. States and algebraic variables that
+        `other` lacks get their values from ``own``. If the two problems have different static
+        variables, all static variables are those of ``own``. The result is on the mesh of `other`.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -378,8 +382,9 @@ class MissionProblem:
     def keep_usable(self, finished: Solution) -> None:
         """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
 
-        A plan is usable if simulation confirms it at lower accuracy than requested. If the search
-        is stopped, it returns the best usable plan.
+        A plan is usable if simulation confirms it at lower accuracy than requested. The attribute
+        `search` stores the best usable plan, and returns it if the search is stopped. Without
+        `search`, nothing is done.
         """
         search = self.search
         if search is None:

@@ -98,7 +98,8 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
         Cost of each leg (flight from one place to another). The legs from the start are in row 0,
         the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
     count : int
-        Number of orders to return; fewer are returned if fewer exist.
+        Number of orders to return; fewer are returned if fewer exist. Orders of infinite cost may
+        be among the last.
 
     Returns
     -------

@@ -213,6 +213,13 @@ class OutsidePlant:
         Body axes in which the parameters are given.
     habits : Habits, optional
         Differences from the equations of the declared model; none by default.
+
+    Raises
+    ------
+    ScenarioError
+        If RotorPy is not installed, or if the mission cannot be simulated in it. Reasons are
+        another number of rotors than four, a missing state of the declared quadrotor, wind that
+        acts as an acceleration, and a free duration.
     """
 
     def __init__(
@@ -272,8 +279,8 @@ class OutsidePlant:
     def read(self, joint: FloatArray) -> FloatArray:
         """Return the declared states, shape (n_states,), from a joint state of the simulation.
 
-        The declared states are those of the scenario's Pyomo model. For the joint state, see
-        `OutsidePlant`.
+        The declared states are those of the scenario's Pyomo model. The yaw angle is within pi of
+        the mean of the mission's initial and final yaw. For the joint state, see `OutsidePlant`.
         """
         x = np.empty(len(self.dynamics.state_names))
         x[self._place] = joint[:6]
@@ -386,7 +393,8 @@ class OutsidePlant:
     ) -> Flown:
         """Simulate RotorPy's vehicle under a control law.
 
-        The integration is restarted at the times at which the law may jump.
+        The integration is restarted at the times at which the law may jump, and at each new command
+        if `habits` has a rate of commands.
 
         Parameters
         ----------
@@ -400,7 +408,7 @@ class OutsidePlant:
             Initial values of the law's own states.
         borders : sequence of float
             Increasing times [s] between which the law is smooth, including start and end of the
-            flight.
+            flight. If `habits` has a rate of commands, only start and end are used.
         integrator : str
             Method of `scipy.integrate.solve_ivp`.
         tolerance : float
@@ -514,7 +522,7 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    A zero wind is accepted.
+    A zero wind is accepted if it is given by formulas, not as measured values.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -556,20 +564,23 @@ def fly_outside(
     reference : Reference
         Path that the vehicle follows under feedback.
     plan : Plan, optional
-        Plan whose controls are flown in open loop, or whose path is the reference. Its costates
-        give an estimate of the energy that is still needed if the flight ends off the goal.
+        Plan whose controls are flown in open loop, or whose path is the reference. Whenever a plan
+        is given, the flight begins in its initial state. If the scenario has no forecast wind, the
+        plan's costates give an estimate of the energy that is still needed if the flight ends off
+        the goal.
 
     Returns
     -------
     Flight
-        The flight. Its name is that of the function `outside_name`.
+        The flight. Its name is that of the function `outside_name`. If the two integrators
+        disagree, `Flight.is_verified` is False.
 
     Raises
     ------
     ScenarioError
         If the reference or the controller needs a plan and none is given.
     SolveError
-        If the flight is out of control.
+        If the flight is out of control or the integration fails.
     """
     scenario = plant.scenario
     own: Sequence[float] = ()
@@ -594,7 +605,7 @@ def fly_under(
     own: Sequence[float] = (),
     borders: Sequence[float] | None = None,
 ) -> Flight:
-    """Simulate RotorPy's vehicle under a control law, by two integrators that must agree.
+    """Simulate RotorPy's vehicle under a control law, by two integrators for comparison.
 
     Parameters
     ----------
@@ -606,9 +617,10 @@ def fly_under(
         Control law: takes time, the states of the scenario's Pyomo model and the law's own states;
         returns rotor accelerations [rad/s^2] and the time derivatives of the law's own states.
     plan : Plan, optional
-        Plan whose initial state is the initial state of the flight. Its costates give an estimate
-        of the energy that is still needed if the flight ends off the goal. Without a plan, the
-        flight begins in hover at the start of the mission, and this energy is not estimated.
+        Plan whose initial state is the initial state of the flight. If the scenario has no forecast
+        wind, the plan's costates give an estimate of the energy that is still needed if the flight
+        ends off the goal. Without a plan, the flight begins in hover at the start of the mission,
+        and there is no estimate.
     own : sequence of float
         Initial values of the law's own states.
     borders : sequence of float, optional
@@ -618,7 +630,13 @@ def fly_under(
     Returns
     -------
     Flight
-        The flight, with its table and results.
+        The flight, with its table and results. If the two integrators disagree, `is_verified` is
+        False.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle tumbles or the integration fails.
     """
     began = perf_counter()
     scenario, dynamics, habits = plant.scenario, plant.dynamics, plant.habits
@@ -694,8 +712,9 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
-    The law returns the planned rotor accelerations [rad/s^2]. The times are the boundaries of the
-    plan's mesh elements.
+    The law returns the planned rotor accelerations [rad/s^2]. If commands are constant over
+    intervals (`Habits.command_rate_hz`), the law adds a correction towards the planned rotor
+    speeds. The times are the boundaries of the plan's mesh elements.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

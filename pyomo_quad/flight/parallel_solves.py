@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 def most_solves() -> int:
     """Return the number of solves of a mission that may run at the same time on this machine.
 
-    It is the number of available cores. It is 1 where this process must not be forked, for example
-    on systems other than Linux.
+    It is the number of available cores. It is 1 where this process must not be forked: on systems
+    other than Linux, in a worker process, and without OMP_NUM_THREADS=1 in the environment.
     """
     return processes.cores(os.cpu_count() or 1, use_blas=True)
 

@@ -186,8 +186,9 @@ class PlanStatus(StrEnum):
     NOT_CONVERGED
         The solve did not converge.
     INFEASIBLE
-        The solve found that no flight keeps all limits. A mission with several routes has this
-        status if the solve along every route tried is infeasible, even on a coarse mesh.
+        The solve found that no flight keeps all limits, or keep-out zones block every route. A
+        mission with several routes has this status if the solve along every route tried is
+        infeasible, even on a coarse mesh.
     INTERRUPTED
         The solve was stopped.
     """
@@ -441,11 +442,12 @@ class Plan(Summarised):
     status : PlanStatus
         Outcome, from verified to failed.
     message : str
-        Reason why the solve ended, in one sentence.
+        Reason why the solve ended; for a plan of status `USABLE`, also how closely the simulated
+        flight agrees with it.
     energy : float
         Energy of the flight [J], computed by the quadrature of the collocation scheme.
     hover_energy_J : float
-        Energy of hovering for the same time [J].
+        Energy of hovering in still air for the same time [J]; NaN if the vehicle cannot hover.
     trajectories : Trajectories
         States, controls, energy and costates on the mesh.
     verification : Verification or None
@@ -738,8 +740,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If the rate is not positive, or if the plan was loaded from a file, which does not
-            contain equations.
+            If the rate is not above 0 and at most 1e5 Hz, or if the plan was loaded from a file,
+            which does not contain equations.
 
         Examples
         --------
@@ -763,6 +765,11 @@ class Plan(Summarised):
             One variable for each column of the table that `to_frame` returns. Scenario, status and
             energy are attributes of the dataset.
 
+        Raises
+        ------
+        ScenarioError
+            As for `to_frame`.
+
         Examples
         --------
         >>> data = plan.to_xarray(rate_hz=10.0)
@@ -780,6 +787,11 @@ class Plan(Summarised):
 
         `times` has n times [s]; each quantity is an array of shape (n,). The names are those of the
         columns in the table of the plan, which the method `to_frame` returns.
+
+        Raises
+        ------
+        ScenarioError
+            If the plan was loaded from a file, which does not contain equations.
         """
         return flight_columns(*self._sampled(times))
 
@@ -829,7 +841,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If a time is outside the flight.
+            If a time is outside the flight, or if the plan was loaded from a file, which does not
+            contain equations.
         """
         start, end = self.trajectories.horizon
         times = np.atleast_1d(np.asarray(t, dtype=float))
@@ -855,7 +868,13 @@ class Plan(Summarised):
         -------
         Flight
             Energy and table of the plan, with two results of the simulation that verified the plan:
-            the deviations of the final state and the violations of limits.
+            the deviations of the final state and the violations of limits. They are infinite for a
+            plan that was not simulated.
+
+        Raises
+        ------
+        ScenarioError
+            If the plan was loaded from a file, which does not contain equations.
         """
         verification = self.verification
         return Flight(
@@ -906,7 +925,8 @@ class Plan(Summarised):
         Raises
         ------
         ScenarioError
-            If the plan has no figure and no column of this name.
+            If the plan has no figure and no column of this name, or was loaded from a file, which
+            does not contain equations.
 
         Examples
         --------
@@ -933,6 +953,9 @@ class Plan(Summarised):
 
         Raises
         ------
+        ScenarioError
+            If `figures` has another value, or if the plan was loaded from a file, which does not
+            contain equations.
         OutputError
             If the folder cannot be written, or holds files that no report wrote.
 
@@ -945,6 +968,8 @@ class Plan(Summarised):
 
     def save(self, path: str | Path) -> None:
         """Write the plan to a file that `load` reads: an archive of arrays and JSON, not a pickle.
+
+        The attributes `iterations`, `failure`, `solution` and `flown` are not stored.
 
         Parameters
         ----------

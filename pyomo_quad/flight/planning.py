@@ -63,8 +63,11 @@ class Planner(Problems):
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
             A plan of a similar scenario, or the initial point (warm start) that a plan file or a
-            sweep has stored. The solve starts from its trajectory. It also starts from its
-            multipliers if the two problems have the same equations.
+            sweep has stored. The solve starts from the plan's trajectory, and also from the
+            multipliers if the two problems have the same equations. If `warm_start` is given,
+            candidate routes are not compared. If the order of the waypoints is open, `warm_start`
+            is ignored. For a mission of least time, it is used only if the minimum-time problem
+            fails.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -80,6 +83,13 @@ class Planner(Problems):
 
             The time limit is `solver.time_limit` of the scenario, in processor time including
             verification. Apart from the time limit, no result depends on the speed of the machine.
+
+        Raises
+        ------
+        ScenarioError
+            If a user's own model lacks a variable for a free time of the mission.
+        SolveError
+            If charge is reserved for a return flight that the vehicle cannot fly.
         """
         scenario = with_return_flight(self, scenario)
         solve = self._solve_quickest if scenario.mission.aim is Aim.TIME else self._solve

@@ -107,7 +107,10 @@ class Problems:
         return structure_key(scenario) if self.is_declared else scenario
 
     def model(self, scenario: Scenario) -> Any:
-        """Return the Pyomo model of a scenario, with the scenario's parameter values."""
+        """Return the Pyomo model of a scenario, with the scenario's parameter values.
+
+        It may be the model of the cached problem, which callers must not change.
+        """
         built_for, problem = self._problems.get(self._key(scenario)) or (None, None)
         if problem is None or built_for != scenario:
             return self._builder(scenario)
@@ -119,7 +122,8 @@ class Problems:
         """Return the calculator of steady flight of a scenario's vehicle in still air.
 
         A user's own model may have states that the mission does not define. `known` maps their
-        names to initial values.
+        names to initial values. Calculators are cached by scenario. If one is cached, `known` is
+        ignored.
         """
         steady = self._steady.get(scenario)
         if steady is None:
@@ -153,8 +157,9 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        If so, the equations of the cached problem can be used to simulate `scenario`. If no problem
-        is cached for it, the result is False.
+        If so, the equations of the cached problem can be used to simulate `scenario`. With a free
+        duration, the two scenarios may differ in the wind only. The result is always False for a
+        user's own model, for a wind measured over time, and if no problem is cached.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         # A wind measured over time is sampled at fixed fractions of the duration, so that the

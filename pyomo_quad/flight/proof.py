@@ -1,7 +1,8 @@
 """Verification of a plan that was read from a file, independent of the results in the file.
 
-The initial state, final state and horizon of the plan must agree with the mission. The controls,
-simulated by SciPy with the scenario's own equations, must reproduce the states of the file.
+The horizon of the plan must agree with the mission. For the package's own model, the initial and
+final state must, too. The controls, simulated by SciPy with the scenario's own equations, must
+reproduce the states of the file.
 """
 
 from dataclasses import replace
@@ -53,6 +54,9 @@ def refuse_unproven(
     is_code_allowed: bool = False,
 ) -> None:
     """Raise an error if simulation with the mission's equations does not confirm a plan.
+
+    Initial and final state of the plan are compared with the mission only if the scenario has no
+    model of the user.
 
     Parameters
     ----------
@@ -111,7 +115,8 @@ def refuse_unproven(
 def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by too much.
 
-    `verification` has the violations of limits, and `allowed` the tolerances.
+    `verification` has the violations of limits, and `allowed` the tolerances. The absolute
+    tolerance `allowed.intrusion` on limits of the airspace is not applied.
     """
     # The absolute tolerance on zones, floor, ceiling and fence [m] is too strict for the rounded
     # controls of a plan that was read from a table.
@@ -233,8 +238,8 @@ def _refuse_other_ends(
 ) -> None:
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
-    `states` has the shape (n_points + 1, n_states). The tolerance of a state is allowed.miss *
-    max(1, abs(its value in the mission)).
+    `states` has the shape (n_points + 1, n_states), in the order of `dynamics`. The tolerance of a
+    state is allowed.miss * max(1, abs(its value in the mission)). NaN is not compared.
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),

@@ -1,7 +1,7 @@
 """Reference paths: position and yaw as functions of time for the controller to follow.
 
 reference | path | conditions at start and goal
-step | constant position, equal to the goal from the start of the flight | none
+step | constant position: the goal or, before it, the waypoints in turn | none
 quintic | polynomial of degree 5 | position, zero velocity and acceleration
 minimum_snap | polynomial of degree 7 | position, zero velocity, acceleration and jerk
 plan | the optimal plan, as cubic splines through its samples | the states of the plan
@@ -177,7 +177,7 @@ def stops_of(mission: Mission) -> tuple[list[list[float]], list[float]]:
     Raises
     ------
     ScenarioError
-        If the time of a waypoint is free.
+        If the time of a waypoint, or the duration, is free.
     """
     times = [0.0]
     for k, waypoint in enumerate(mission.waypoints):

@@ -227,8 +227,9 @@ class Course:
     belief : Belief
         Mass and acceleration by the air that the plan assumes.
     estimate : ndarray, shape (3,)
-        Estimate of the acceleration that the plan's equations do not explain [m/s^2]. `belief` was
-        computed from this estimate.
+        Estimated acceleration along the world axes [m/s^2], at the time of the plan's solve. It is
+        the part that the equations assumed before take-off (`Replanner.dynamics`) do not explain.
+        The plan's own equations include it, because `belief` was computed from it.
     """
 
     plan: Trajectories
@@ -248,7 +249,7 @@ class Replanner:
         The mission, and the vehicle as assumed by the controller.
     knowledge : Knowledge
         Knowledge of the wind in the re-plans: the actual wind, the forecast corrected by an
-        estimate, or the forecast alone.
+        estimate, or the forecast alone. If the scenario has no forecast, calm air takes its place.
     planner : Planner
         Planner that compiles the equations.
     margins : mapping, optional
@@ -336,8 +337,9 @@ class Replanner:
     def prepare(self, plan: Trajectories) -> None:
         """Solve the remaining missions before take-off, for initial guesses of solves in flight.
 
-        `plan` is the plan made before take-off. The penalty on violations is increased until it is
-        exact, see docs/theory/soft_limits.md, eq. (2).
+        `plan` is the plan made before take-off. The converged solutions are stored, as starting
+        points of `solve`. The penalty on violations is increased until it is exact, see
+        docs/theory/soft_limits.md, eq. (2). If three increases are not enough, it is reset.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -355,6 +357,9 @@ class Replanner:
     ) -> Solution:
         """Solve the remaining mission from a given state, for a new plan in flight (re-plan).
 
+        The solve starts from the last converged solution of the same remaining mission. A converged
+        result replaces it.
+
         Parameters
         ----------
         t : float
@@ -371,6 +376,11 @@ class Replanner:
         -------
         Solution
             Result, converged or not.
+
+        Raises
+        ------
+        TranscriptionError
+            If the state is outside the hard limits of rotors and battery.
         """
         rest = self.at(t)
         last = self._last.get(rest)
@@ -431,8 +441,8 @@ class Replanner:
         belief : Belief
             Mass and acceleration by the air that the re-plan assumes.
         estimate : ndarray, shape (3,)
-            Estimated acceleration that the equations do not explain [m/s^2]. `belief` was computed
-            from this estimate.
+            Estimated acceleration that the equations assumed before take-off, `dynamics`, do not
+            explain [m/s^2]. `belief` was computed from this estimate.
         """
         plan, rest = trajectories_of(solution), self.at(solution.horizon[0])
         flow = rest.problem.dynamics(parameters=self._with(belief, rest), horizon=plan.horizon)
@@ -440,7 +450,10 @@ class Replanner:
         return Course(plan=plan, path=path, belief=belief, estimate=estimate)
 
     def first_course(self, plan: Trajectories) -> Course:
-        """Return the plan made before take-off, with its reference path for the controller."""
+        """Return the plan made before take-off, with its reference path for the controller.
+
+        The attribute `estimate` of the result is zero.
+        """
         path = path_of(plan, self.dynamics, self._scenario)
         return Course(plan=plan, path=path, belief=self.belief, estimate=np.zeros(3))
 
@@ -448,7 +461,8 @@ class Replanner:
         """Return whether a flight has used up its margin to any limit.
 
         A margin is used up if the vehicle is nearer to the limit than its plan by more than the
-        margin. `state` is measured at time t [s].
+        margin. A limit of `margins.FIELDS` without a margin has the margin zero. `state`, shape
+        (n_states,), is measured at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
         planned = self._states(course.plan, t)
@@ -469,7 +483,8 @@ class Replanner:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
         It is the planned state, moved towards the measured state until the controller can correct
-        the remaining deviation; see docs/theory/soft_limits.md, eq. (3).
+        the remaining deviation; see docs/theory/soft_limits.md, eq. (3). Tilt and rotor speeds are
+        changed so that the thrust balances `unexplained`.
 
         Parameters
         ----------
@@ -480,7 +495,8 @@ class Replanner:
         state : ndarray, shape (n_states,)
             Measured state.
         unexplained : ndarray, shape (3,)
-            Estimated acceleration that the plan does not include [m/s^2].
+            Estimated acceleration that the plan does not include [m/s^2]: the present estimate
+            minus `course.estimate`.
 
         Returns
         -------

@@ -94,10 +94,11 @@ class _Leg:
 
 
 class _Observer:
-    """Estimator of the acceleration that the equations of a plan do not explain.
+    """Estimator of the acceleration that the equations assumed before take-off do not explain.
 
-    The cause of this unexplained acceleration is that wind and mass differ from their assumed
-    values. The estimator applies the adaptation law of the controller to the measured states.
+    These equations are `Replanner.dynamics`. The cause of the unexplained acceleration is that wind
+    and mass differ from their assumed values. The estimator applies the adaptation law of the
+    controller to the measured states.
     """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
@@ -247,7 +248,9 @@ class _ReplannedFlight:
     def fly(self) -> None:
         """Simulate the whole mission, and solve for a new plan at constant intervals of time.
 
-        Each new plan replaces the present plan, if its solve succeeds.
+        Each new plan replaces the present plan, if its solve succeeds. Shortly before a waypoint or
+        the end, after the time `Remainder.planned_until`, no plan is made. During the rest of a
+        hover, the vehicle follows the plan made before take-off.
         """
         measured_at = self._settings.interval
         hovering_at = inf
@@ -268,7 +271,8 @@ class _ReplannedFlight:
         """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
         `measured_at` is the time of the measurement [s]. The result is the time [s] at which the
-        new plan takes over.
+        solve ends and the new plan takes over. If the solve fails, the present plan is kept. The
+        solve is recorded in `resolves`.
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -320,8 +324,8 @@ class _ReplannedFlight:
     def _advance(self, end: float) -> None:
         """Simulate the flight along the present plan until the time `end` [s].
 
-        The estimate of the acceleration that the plan's equations do not explain is updated with
-        this part of the flight.
+        The observer's estimate of the unexplained acceleration is updated with the simulated part
+        of the flight.
         """
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
@@ -343,7 +347,7 @@ class _ReplannedFlight:
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
         """Simulate each part of the flight again with a second integrator, for verification.
 
-        A part begins with a new plan. Both simulations of a part start from the same state.
+        A part is flown along a single plan. Both simulations of a part start from the same state.
 
         Returns
         -------
@@ -379,8 +383,8 @@ def fly_replanned(
 ) -> Flight:
     """Simulate a mission with repeated re-planning in flight, and verify the flight.
 
-    Each part along one plan is simulated a second time with another integrator. Both simulations
-    must end at the same place and spend the same energy.
+    Each part along one plan is simulated a second time with another integrator. If the two
+    simulations of a part disagree, `Flight.is_verified` is False.
 
     Parameters
     ----------
@@ -388,15 +392,18 @@ def fly_replanned(
         The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
         Wind that the re-plans assume: the actual wind, the forecast corrected by an estimate, or
-        the forecast alone.
+        the forecast alone (calm air if there is none). Except with the forecast alone, re-plans
+        also use the estimated mass and unexplained acceleration.
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner
         Planner that compiles the equations.
     plan : Plan, optional
-        Plan made before take-off; without it, the mission is planned first. The re-plans have the
-        same margins as this plan (amounts by which limits are tightened). The costates of the plan
-        give an estimate of the energy that is still needed if the flight ends off the goal.
+        Plan made before take-off. The mission is planned again before take-off if there is no plan
+        or if re-plans assume another wind than the forecast. The re-plans have the same margins as
+        `plan` (amounts by which limits are tightened). If the scenario has no forecast wind, the
+        costates of `plan` give an estimate of the energy still needed if the flight ends off the
+        goal.
     computer : callable, optional
         Takes the processor time of a solve on this machine [s]; returns the time that the solve
         takes aboard [s]. By default it returns the solve time that the scenario states. If the
@@ -410,8 +417,9 @@ def fly_replanned(
     Raises
     ------
     ScenarioError
-        If the vehicle model `dynamics` lacks a state that the controller measures: position,
-        velocity, attitude or body rates.
+        If the vehicle model `dynamics` lacks a state that the controller measures (position,
+        velocity, attitude or body rates), if `planner` uses a user's own model, or if a waypoint
+        has no time.
     SolveError
         If the solve before take-off fails, or the flight is out of control.
     """

@@ -31,12 +31,12 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
     """Return the scenario with airspeed and battery currents of the return flight filled in.
 
     Values that the scenario gives are kept. The current of the climb is filled in only over
-    terrain.
+    terrain. A scenario without `mission.return_reserve` is returned unchanged.
 
     Raises
     ------
     SolveError
-        If the vehicle cannot fly against the wind.
+        If the vehicle or its pack cannot fly against the wind, or cannot climb over terrain.
     """
     mission = scenario.mission
     told = mission.return_flight
@@ -60,7 +60,8 @@ def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
     """Return the airspeed of least battery charge per metre over the ground [m/s].
 
     `wind` is the head wind [m/s]. `steady` computes the steady flight at each airspeed. The battery
-    current is evaluated at the lowest state of charge that `scenario` allows.
+    current is evaluated at the lowest state of charge that `scenario` allows. The function raises a
+    SolveError if no airspeed is possible.
     """
 
     def cost(airspeed: float) -> float:
@@ -102,7 +103,8 @@ def _current(
     """Return the battery current [A] of steady flight at the lowest state of charge allowed.
 
     `airspeed` is the horizontal airspeed and `climb` the rate of climb, both in m/s. `scenario`
-    gives the lowest state of charge, and `steady` computes the flight.
+    gives the lowest state of charge, and `steady` computes the flight. The function raises a
+    SolveError if the pack cannot give the power.
     """
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, climb]), np.array([drawn]))

@@ -27,9 +27,9 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    If the scenario states no risk and its duration is free, the result is `_USUAL_RISK`. If the
-    duration is fixed, it is 1 (any risk). It is also 1 for the simplified attitude equations of
-    Yacef et al.
+    A risk that the scenario states is returned. Otherwise the result is `_USUAL_RISK` if the
+    duration is free, and 1 (any risk) if it is fixed. With the simplified attitude equations of
+    Yacef et al., an unstated risk is always 1.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -64,8 +64,13 @@ def plan_at_risk(
     -------
     Plan
         Plan whose attribute `risk` records margins and test flights. If the allowed risk cannot be
-        reached, or if the search is stopped, it is the plan of least risk that was found. If any
-        risk is allowed (`risk = 1`), it is the plan of `Planner.solve`, without margins.
+        reached, or if the search is stopped, it is the plan of least risk that was found. If its
+        `risk.gains` is not empty, its scenario has these gains of the controller instead of the
+        default.
+
+        The result is the plan of `Planner.solve` without margins in three cases: any risk is
+        allowed (`risk = 1`), the plan is not flyable, or the model is a user's own. In the last
+        case, `Plan.risk` gives the reason if the scenario states a risk.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)

@@ -3,7 +3,8 @@
 A journey is a sequence of routes, one for each leg from one waypoint to the next. The best journey
 is found in these steps:
 
-- Journeys whose estimated cost in steady flight is much higher than the least are left out.
+- Journeys whose estimated cost in steady flight is more than 1 % above the least are left out,
+  except at the accuracy `proof`. In a wind field, the journeys of least estimated energy are taken.
 - The mission is solved along the other journeys, on one coarse mesh.
 - The best of these solutions are solved again on a finer mesh.
 - The best of the finer solutions are refined to the tolerance of the mission.
@@ -78,9 +79,9 @@ class RouteFlights:
     ----------
     has_several_optima : bool
         Whether a journey may have several local optima, which differ in duration. This is the case
-        for flights of free duration through a wind field. The first journey is then solved from a
-        flight with smooth corners, all others from straight lines. The best solution is the start
-        of further solves (see `_improve`).
+        for flights of free duration through a wind field without waypoints. The first journey is
+        then solved from a flight with smooth corners, all others from straight lines. The best
+        solution is the start of further solves (see `_improve`).
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -112,17 +113,19 @@ class RouteFlights:
         Parameters
         ----------
         most : int, optional
-            Largest number of journeys; the shortest journeys are taken. By default, the number is
-            not limited. In a wind field, the default is different: the journeys are those of least
-            energy in steady flight through the wind, and the shortest journey.
+            Largest number of journeys; the shortest journeys are taken. By default, it is the
+            constant `routes.MOST_ROUTES`. In a wind field, the default is different: the journeys
+            are those of least energy in steady flight through the wind, and the shortest journey.
 
         Returns
         -------
         Solution
-            The best solution, refined to the mission's tolerance. If keep-out zones block every
-            journey, its status is infeasible and its message names the zones.
+            The best solution, refined to the mission's tolerance, or a failed one if no solve
+            converges. If keep-out zones block every journey, its status is infeasible and its
+            message names the zones.
         tuple of TriedRoute
-            Result for each journey; empty if zones block every journey.
+            Result for each journey that was not left out (see `compared`); empty if zones block
+            every journey.
         """
         try:
             journeys = self._journeys(most)
@@ -135,14 +138,16 @@ class RouteFlights:
         """Solve the mission along given journeys on one mesh, and refine the best solutions.
 
         A journey is a sequence of routes, one for each leg. If two journeys lead to the same
-        solution, the later one is left out.
+        solution, the later one is left out. A journey that a known solution dominates is left out,
+        too (see `sides_touched`).
 
         Returns
         -------
         Solution
-            The best solution, refined to the mission's tolerance.
+            The best solution, refined to the mission's tolerance, or a failed one if no solve
+            converges.
         tuple of TriedRoute
-            Result of the solve along each journey.
+            Result of the solve along each journey that was not left out.
         """
         flown: list[tuple[Journey, Solution]] = []
         for journey, solution in self._each_flown(journeys):
@@ -207,6 +212,8 @@ class RouteFlights:
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
         """Solve along the cheapest journeys again, on a finer mesh; return the best of them.
+
+        If only one journey is near the least cost, it is returned without a solve.
 
         Parameters
         ----------
@@ -279,7 +286,8 @@ class RouteFlights:
         """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
         As a rule, the shortest journey comes first. If the wind is a field and `most` is None, it
-        comes last, after the cheapest journeys through the field.
+        comes last, after the cheapest journeys through the field. Otherwise journeys of higher
+        estimated cost are left out (see `promising`), except at the accuracy `proof`.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
@@ -320,8 +328,9 @@ class RouteFlights:
     def _fly_first(self, journey: Journey, *, is_alone: bool) -> Solution:
         """Return the solution along the first of several journeys.
 
-        If the journey may have several optima, it is solved from `smooth_guess`. If it `is_alone`
-        (the only journey), it is also solved from a flight at constant speed along its lines.
+        A solution that was given to the constructor is returned without a solve. If the journey may
+        have several optima, it is solved from `smooth_guess`. If it `is_alone` (the only journey),
+        it is also solved from a flight at constant speed along its lines.
         """
         if self._known is not None:
             return self._known
@@ -346,10 +355,12 @@ class RouteFlights:
     def fly(
         self, journey: Journey, guess: Any = None, options: SolverOptions | None = None
     ) -> Solution:
-        """Solve the mission on one mesh from an initial guess along a journey.
+        """Solve the mission from an initial guess along a journey, on the mesh for comparisons.
 
-        If the solve fails, it is repeated from the solution of an easier mission, in which the
-        vehicle passes exactly through the waypoints.
+        If a waypoint has a radius or a speed limit, a failed solve is repeated with the default
+        `guess` and `options`. The repeated solve starts from the solution of an easier mission, in
+        which the vehicle passes exactly through the waypoints. All later calls begin with the
+        easier mission.
 
         Parameters
         ----------
@@ -474,7 +485,10 @@ class RouteFlights:
         """Refine the mesh of a solution and solve again, with a limited number of meshes.
 
         `flown` is the solution on its present mesh. `meshes` is the largest number of meshes,
-        including the present mesh; None to refine the mesh to the mission's tolerance.
+        including the present mesh; None to refine the mesh to the mission's tolerance. Without
+        regeneration, None means continuation (`MissionProblem.solve_from`), and a number means a
+        solve with the easiest parameter values. With regeneration, if the scenario allows no
+        refinement, `flown` is returned unchanged.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -736,7 +750,7 @@ def _cost(solution: Solution) -> float:
 
 
 def _saves(found: Solution, known: Solution) -> bool:
-    """Return whether a solution costs less than a known one, by more than rounding may cause."""
+    """Return whether a solution costs less than a known one, by more than a relative 1e-4."""
     return _cost(found) < (1.0 - _SAVED) * _cost(known)
 
 

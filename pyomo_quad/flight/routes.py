@@ -109,7 +109,8 @@ def find_routes(
     """Return the shortest route of each homotopy class between two places, the shortest first.
 
     Routes belong to the same class if they pass every keep-out zone on the same side. Routes more
-    than twice as long as the shortest route are left out.
+    than twice as long as the shortest route are left out. Over terrain, the routes are then raised
+    to the floor, see `climbs.over_the_ground`.
 
     Parameters
     ----------
@@ -529,7 +530,8 @@ def cruise_at(
     """Return the mission with the times of an autopilot's cruise: passing times and duration.
 
     Cruise is flight along straight legs at one speed. At the end the vehicle hovers at the goal for
-    `settling_s`, or longer if the flight would otherwise last less than `least_s`.
+    `settling_s`, or longer if the flight would otherwise last less than `least_s`. If `speed` is
+    given, the returned scenario also has this cruise speed.
 
     Parameters
     ----------
@@ -543,7 +545,8 @@ def cruise_at(
     Raises
     ------
     ScenarioError
-        If all places of the mission are the same, or keep-out zones block a leg.
+        If all places of the mission are the same, if keep-out zones block a leg, or if `speed` is
+        None and the scenario does not have a single cruise speed.
     """
     told = scenario
     if speed is not None:
@@ -562,7 +565,8 @@ def cruise(scenario: Scenario) -> SampledPath:
     Raises
     ------
     ScenarioError
-        If the cruise takes longer than the mission's duration.
+        If the cruise takes longer than the mission's duration, if the time of a waypoint or the
+        duration is free, or as for `cruise_at`.
     """
     stops, times = stops_of(scenario.mission)
     holds = (0.0, *(waypoint.hold for waypoint in scenario.mission.waypoints))

@@ -124,7 +124,7 @@ class Search:
 
     @property
     def spent_s(self) -> float:
-        """Processor time since the start of the search [s]."""
+        """Processor time of this thread since the start of the search [s]."""
         return time.thread_time() - self._began
 
     @property
@@ -168,7 +168,8 @@ class Search:
         """Return whether the user or the time limit has stopped the search.
 
         The user stops the search through a progress callback, which then returns False. This method
-        calls the callback with the last iteration of Ipopt to find out.
+        calls the callback with the last iteration of Ipopt to find out. Before the first iteration,
+        the result is False.
         """
         return self._last is not None and not self.deadline(self._last)
 
@@ -189,8 +190,8 @@ class Search:
     def restart_patience(self) -> None:
         """Make the property `is_early` true again for about two seconds of solves.
 
-        It is called when the order of the waypoints has been chosen, before the whole mission is
-        solved.
+        The first plan (see `begin_with`) is delayed, too. The method is called when the order of
+        the waypoints has been chosen, before the whole mission is solved.
         """
         self._patient_from = self.work
 
@@ -206,7 +207,7 @@ class Search:
         """Record an iteration of Ipopt, and return whether Ipopt may continue.
 
         It may not if the search is stopped, is beyond its time limit, or has cost more than the
-        limit set by `begin_effort`.
+        limit set by `begin_effort`. The call may also make the first plan, see `begin_with`.
         """
         self._last = iteration
         self.work += iteration.mesh_points
@@ -296,7 +297,7 @@ class Search:
         """Return the result of the search: its last plan or the best usable plan.
 
         The result is `plan`, the last plan, if it is flyable, if its status is "infeasible", or if
-        there is no usable plan.
+        there is no usable plan. Its `attempts` are the record of the search.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:

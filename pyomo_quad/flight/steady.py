@@ -82,7 +82,7 @@ class Trim:
 
 @dataclass(frozen=True, kw_only=True)
 class HoverState:
-    """Hover in still air with the battery in its initial state: rotor speed, power and battery.
+    """Hover with the battery in its initial state: rotor speed, power and battery.
 
     Battery current, voltage and charge rate are the values while the battery gives the power of the
     hover. `greatest_battery_power_W` is the greatest power that it can give.
@@ -156,7 +156,7 @@ class SteadyFlight:
         """Return the steady flight at a velocity over ground.
 
         Position and heading are those of the mission's start. States that measure consumption, such
-        as the charge drawn, have their initial values.
+        as the charge drawn, have their initial values. The limits of the model are not applied.
 
         Parameters
         ----------
@@ -164,7 +164,8 @@ class SteadyFlight:
             Velocity over ground in world axes [m/s]; by default zero (hover). In still air it is
             also the velocity relative to the air.
         near : Trim, optional
-            Steady flight at a similar velocity, as the initial guess.
+            Steady flight at a similar velocity, as the initial guess. It has no effect on a
+            velocity that was computed before, whose result is kept.
 
         Returns
         -------
@@ -239,8 +240,8 @@ class SteadyFlight:
     def held_in(self, trim: Trim) -> dict[str, float]:
         """Return the constant states of a steady flight, such as attitude and rotor speeds.
 
-        The result maps full names to values. The velocity is left out. If the model has an induced
-        velocity, it is included.
+        The result maps full names to values. Position, velocity and consumption are left out. If
+        the model has an induced velocity, it is included.
         """
         moved = {*self._dynamics.states_used_up, *POSITION_STATES, *VELOCITY_STATES}
         named = dict(zip(self._dynamics.state_names, trim.states.tolist(), strict=True))
@@ -343,17 +344,17 @@ class SteadyFlight:
 
     @property
     def hover_power(self) -> float:
-        """Power of hover in still air [W]."""
+        """Power of hover [W], in the wind of the attribute `dynamics`."""
         return self._hovering.power_W
 
     @property
     def hover_speed(self) -> float:
-        """Rotor speed of hover [rad/s]."""
+        """Rotor speed of hover [rad/s], the mean of all rotors."""
         return float(np.mean(self._hovering.states[self._rotors]))
 
     @cached_property
     def hover(self) -> HoverState:
-        """Hover in still air, with the battery in its initial state."""
+        """Hover in the wind of the attribute `dynamics`, with the battery in its initial state."""
         names = (
             *("rotors.total_thrust", "battery.current", "battery.voltage"),
             "battery.greatest_power",
@@ -386,7 +387,8 @@ class SteadyFlight:
     def uncredited_power(self, speed: ArrayLike) -> FloatArray:
         """Return the total power [W] at equal, constant rotor speeds; it may be negative.
 
-        The method `power` replaces a negative power by zero. `speed` has rotor speeds [rad/s].
+        If the model has no regeneration, the method `power` replaces a negative power by zero.
+        `speed` has rotor speeds [rad/s]; the result has the same shape.
         """
         rotors = range(_FIRST_ROTOR, _FIRST_ROTOR + len(self._rotors))
         # Without regeneration, a braking rotor returns no energy (see `model.power`).
@@ -449,7 +451,11 @@ class SteadyFlight:
 
     @property
     def greatest_pack_power(self) -> float:
-        """Greatest power that the battery can give at the start of the mission [W]."""
+        """Greatest power that the battery can give in its initial state, at half its voltage [W].
+
+        The scenario's limits on voltage and current are not applied. The value is negative if the
+        battery has a negative voltage.
+        """
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
     def stored_energy(self, depth: float, samples: int) -> float:
@@ -599,10 +605,10 @@ class MomentumDemand:
 
 
 def battery_shortfalls(scenario: Scenario, steady: SteadyFlight) -> tuple[str, ...]:
-    """Return the reasons why the battery cannot supply a hover of the mission's duration, in words.
+    """Return the reason why the battery cannot supply a hover of the mission's duration, in words.
 
-    `steady` gives the power and the charge rate of the hover. The result is empty if the battery
-    can supply it.
+    `steady` gives the power and the charge rate of the hover. The result has one entry, or none if
+    the battery can supply the hover.
     """
     hover = steady.hover
     pack = scenario.battery

@@ -56,8 +56,8 @@ class Strategy(NamedTuple, Generic[Subject]):
 def carry_out(table: Sequence[Strategy[Subject]], subject: Subject, search: Search) -> None:
     """Carry out the strategies whose conditions hold, one after the other, and record the outcomes.
 
-    An action is repeated while its condition holds. An action that came to nothing is neither
-    repeated nor recorded.
+    An action is carried out at most `Strategy.repeats` times, while its condition holds. An action
+    that came to nothing is neither repeated nor recorded.
 
     Parameters
     ----------

@@ -102,7 +102,8 @@ def within_limits(
 ) -> Iterator[Plan]:
     """Yield plans with stricter limits, for a plan whose simulated flight breaks limits slightly.
 
-    Each plan is solved on a mesh that is finer at the times of the last violations.
+    Each plan is solved on a mesh that is finer at the times at which the last plan's flight enters
+    keep-out zones.
 
     Parameters
     ----------
@@ -217,7 +218,8 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 def _helps(breach: Violation, figures: Figures) -> bool:
     """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
-    The violation must be small, and a parameter of the model must set the limit.
+    The violation must be small, and a parameter of the model must set the limit. For limits on
+    rotor speed and thrust, `figures` must be the tolerances of a usable plan, `USABLE`.
     """
     name = breach.name.partition("[")[0]
     # Stricter limits on rotor speed and thrust cost more energy than any accuracy level tolerates.

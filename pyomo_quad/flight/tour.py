@@ -70,7 +70,7 @@ _MOST_ROUNDS = 6
 def in_order(scenario: Scenario, order: Sequence[int]) -> Scenario:
     """Return a scenario with its waypoints in a given order.
 
-    `order` holds the indices of the waypoints.
+    `order` holds the indices of the waypoints. The result prescribes its order (`Order.GIVEN`).
     """
     waypoints = tuple(scenario.mission.waypoints[k] for k in order)
     return scenario.with_mission(waypoints=waypoints, order=Order.GIVEN)
@@ -118,8 +118,8 @@ class LegTable:
     def lengths(self) -> FloatArray:
         """Lengths of the shortest routes between all pairs of places [m].
 
-        The length is infinite if there is no route. The shape is (n_places, n_places), with the
-        start first and the goal last.
+        The length is infinite if there is no route or if no order may use the leg, such as a leg
+        from the goal. The shape is (n_places, n_places), with the start first and the goal last.
         """
         return self._table({leg: way.length for leg, way in self._ways.items()})
 
@@ -222,13 +222,13 @@ def find_orders(
         Solves for a leg and returns a `Solution`. Takes a scenario without waypoints, a mesh, and
         the shortest route round the zones (None if no zone is in the way).
     count : int, optional
-        Number of orders to return.
+        Largest number of orders to return; by default `BEST_FEW`.
 
     Returns
     -------
     tuple of OrderSearch
         The orders found, the cheapest first. If zones leave no way to visit all places, the result
-        has only the order in which the scenario lists the waypoints.
+        has only the order in which the scenario lists the waypoints, with infinite cost.
     """
     table = LegTable(scenario, solve)
     n = len(scenario.mission.waypoints)
@@ -264,10 +264,10 @@ def find_orders(
 
 
 def legs_expected(waypoints: int) -> int:
-    """Return the least number of legs that a search for the best order will solve.
+    """Return the approximate number of legs that a search for the best order solves at first.
 
-    A leg is the flight between two places. `waypoints` is the number of waypoints. The result
-    serves to estimate the computing time of a search.
+    A leg is the flight between two places. `waypoints` is the number of waypoints. The search may
+    solve more legs later. The result serves to estimate the computing time of a search.
     """
     every = waypoints * (waypoints + 1)
     first = _NEAREST * (waypoints + 1) + _OF_ALL_LENGTHS
@@ -408,7 +408,9 @@ class BestOrder:
     def _roughly(self, ordered: Scenario) -> Solution:
         """Return the solution of the mission on a coarse mesh, for one order of the waypoints.
 
-        `ordered` is the scenario with its waypoints in this order.
+        `ordered` is the scenario with its waypoints in this order. If the solve fails and a
+        waypoint has a radius or a speed limit, an easier mission is solved instead, exactly through
+        the waypoints. All later orders are then solved as easier missions.
         """
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}

@@ -142,8 +142,9 @@ def tracked(
     Raises
     ------
     SolveError
-        If the integrator fails, or if one element needs too many evaluations of the equations, as
-        when the vehicle tumbles far from its path.
+        If the integrator fails, if the time limit of the enclosing `Deadline` has passed, or if one
+        element needs too many evaluations of the equations, as when the vehicle tumbles far from
+        its path.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)

@@ -124,7 +124,7 @@ def verified(
     """Verify a plan by simulation of its controls, and return it with the result.
 
     Except at the accuracy `proof`, the controls are corrected by feedback before the simulation,
-    and corrected again if the flight breaks limits. See docs/theory/tracking.md.
+    and corrected again if the flight misses its tolerances. See docs/theory/tracking.md.
 
     Parameters
     ----------
@@ -145,9 +145,12 @@ def verified(
     Returns
     -------
     Plan
-        The plan with its attributes `verification` and `flown` (the simulated flight). Its status
-        is `VERIFIED` if the simulation confirms the plan to the required accuracy, otherwise
-        `SOLVED`.
+        The plan, with corrected controls, and with its attributes `verification` and `flown` (the
+        simulated flight). If no correction is usable, `flown` has samples of the planned path or of
+        a flight under feedback. The status is `VERIFIED` if the simulation confirms the plan to the
+        required accuracy, the solve converged and, except at `proof`, the error estimate of the
+        energy is within its tolerance. Otherwise the status is `SOLVED`. If a simulation fails,
+        only status and message are changed.
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -186,8 +189,8 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback, and simulate the corrected controls.
 
-    The corrected controls are those of a simulated flight under feedback. If this flight breaks
-    limits, it is repeated with the path changes that `_more_demands` returns.
+    The corrected controls are those of a simulated flight under feedback. If this flight misses its
+    tolerances, it is repeated up to four times, with the path changes that `_more_demands` returns.
 
     Parameters
     ----------
@@ -212,6 +215,11 @@ def _corrected(
         Samples of a flight: a simulation of the corrected controls without feedback. If every
         flight under feedback exceeds even the tolerances of a usable plan, it is the last of these
         flights.
+
+    Raises
+    ------
+    SolveError
+        If the first flight under feedback, or the simulation without feedback, fails.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
@@ -334,7 +342,7 @@ def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verifica
     Raises
     ------
     SolveError
-        If the integrator fails.
+        If the integrator fails or the time limit passes.
     """
     held = plan.trajectories
     return verify_controls(

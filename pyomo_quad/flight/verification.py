@@ -64,7 +64,8 @@ def fly_controls(
 ) -> Flown:
     """Simulate the controls of a plan in open loop.
 
-    The controls are piecewise polynomials on a mesh. They are clipped to their limits.
+    The controls are piecewise polynomials on a mesh. They are clipped slightly beyond their limits,
+    at the relative excess `HELD_BREACH`.
 
     Parameters
     ----------
@@ -85,7 +86,8 @@ def fly_controls(
     method : str, optional
         Method of `scipy.integrate.solve_ivp`.
     integration : float, optional
-        Relative and absolute tolerance of the integrator.
+        Relative and absolute tolerance of the integrator. In flights longer than 30 s, the relative
+        tolerance is smaller.
 
     Returns
     -------
@@ -95,7 +97,7 @@ def fly_controls(
     Raises
     ------
     SolveError
-        If the integrator fails.
+        If the integrator fails or the time limit passes.
     """
     borders = horizon[0] + (horizon[1] - horizon[0]) * np.asarray(mesh.breakpoints)
     flow = ClosedLoop.without_feedback(dynamics)
@@ -208,7 +210,8 @@ class Verification:
         Largest violation of a limit along the flight, and the name of the violated limit. The
         violation is relative to max(1, abs(limit)).
     breaches : tuple of Violation
-        Largest violation of each limit along the flight; 0 for a limit that is kept.
+        Largest violation of each limit along the flight, in order of decreasing relative violation;
+        0 for a limit that is kept.
     broken_limits : tuple of str
         Every limit violated by more than the tolerance, with the amount.
     energy_difference_J, flown_energy_J : float
@@ -506,7 +509,7 @@ def verify_controls(
     Raises
     ------
     SolveError
-        If the integrator fails.
+        If the integrator fails or the time limit passes.
     """
     figures = FIGURES[accuracy]
     flown = fly_controls(
@@ -634,8 +637,8 @@ class _Found:
     ----------
     miss : float
         Largest miss at the goal or at a waypoint. A miss at the goal is the deviation of a final
-        state from the plan, divided by max(1, |planned value|). A miss at a waypoint is the
-        distance by which the flight passes outside the waypoint's radius [m].
+        state from the plan, divided by max(1, abs(planned value)). A miss at a waypoint is
+        the distance by which the flight passes outside the waypoint's radius [m].
     breaches : tuple of Violation
         Violations of limits.
     energy : float

@@ -74,8 +74,9 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
         turbulence or uncertain quantities, the states include those of the turbulence filters.
     Draws
         For each flight, the parameter values with random errors, and the noise and initial states
-        of the turbulence filters. They depend only on the seed and the index of the flight, so that
-        further flights or a longer duration leave them unchanged.
+        of the turbulence filters; empty without turbulence and uncertain quantities. The random
+        numbers depend only on the seed and the index of the flight: further flights or a longer
+        duration leave them unchanged.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -141,7 +142,7 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     """Return the change of the model's parameters by one standard deviation of each uncertainty.
 
     The uncertain quantities are speed and direction of the wind, mass, and hover power. A quantity
-    is left out if the scenario gives no standard deviation for it.
+    is left out if the scenario gives no standard deviation for it, the direction also in calm air.
 
     Parameters
     ----------

@@ -242,7 +242,8 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
 
     The place is a fraction of the leg `ends`, shape (2, 3) [m]: the middle of the part that is
     closer to the zone than `clearance` [m]. If there is no such part, the place is the point
-    nearest to the zone, and the clearance is raised until the enlarged zone reaches this point.
+    nearest to the zone. The clearance is then raised until the enlarged zone reaches this point,
+    and by `MARGIN_M` beyond.
     """
 
     def span(reach: float) -> tuple[float, float]:

@@ -129,8 +129,8 @@ def read_ulog(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the package `pyulog` is missing, if the log is damaged, or if it lacks a required topic
-        (table of the log) or field (column of a topic).
+        If the package `pyulog` is missing, or if the log is damaged, has no battery current, or
+        lacks a required topic (table of the log) or field (column of a topic).
     """
     with _reader_errors("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
@@ -159,6 +159,11 @@ def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
         Name of the topic that has the field.
     *names : str
         Names of the field in different versions of PX4. The first name that the topic has is used.
+
+    Raises
+    ------
+    ScenarioError
+        If the log has no such topic, or the topic has none of the names.
     """
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
@@ -221,8 +226,8 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the package `pymavlink` is missing, if the log is damaged, or if it lacks a required kind
-        of message.
+        If the package `pymavlink` is missing, or if the log is damaged, has no battery current, or
+        lacks a required kind of message or field.
     """
     with file.open("rb"):
         pass  # raise the operating system's own error if the file cannot be read

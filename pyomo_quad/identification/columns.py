@@ -1,4 +1,4 @@
-"""Columns in logs of flights and in tables of steady flight points: names, units, meanings."""
+"""Columns of flight logs: names, units, meanings, and alternative names."""
 
 from collections.abc import Mapping
 from typing import NamedTuple

@@ -213,7 +213,7 @@ def draw_curve(found: Identification) -> Figure:
     """Draw the power of steady level flight over airspeed for each payload, with measurements.
 
     The curves are computed with the fitted model, at the mean air density of the flights. Each dot
-    is the mean measured power of cruise at one airspeed.
+    is the mean measured power of cruise at one airspeed, if it has at least 20 rows.
 
     Parameters
     ----------

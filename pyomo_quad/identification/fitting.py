@@ -77,7 +77,7 @@ class FittedParameter:
         Name of the field.
     base, value, deviation : float
         Value before the fit, fitted value, and standard deviation of the fitted value, in the
-        field's unit.
+        field's unit. The deviation is 0 for a field that is not determined.
     is_determined : bool
         Whether the measurements determine the field. Otherwise, `value` equals `base`.
     is_at_bound : bool
@@ -111,7 +111,8 @@ class IdentifiedParameter:
     deviation : float
         Standard deviation by bootstrap over the flights; 0 for a field that is not determined.
     is_determined : bool
-        Whether the flights determine the field. Otherwise, `value` equals `base`.
+        Whether the flights determine the field. Otherwise, `value` and the values of both halves
+        equal `base`.
     is_at_bound : bool
         Whether the fitted value lies at an end of its permitted range.
     """
@@ -181,7 +182,7 @@ class Identification:
         Parameters
         ----------
         slowest, fastest : float
-            Least and greatest horizontal airspeed of the range [m/s].
+            Horizontal airspeeds v of the range, slowest <= v < fastest [m/s].
 
         Returns
         -------
@@ -318,7 +319,8 @@ class Fit:
     def drawn_anew(self, values: FloatArray) -> FloatArray:
         """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
-        Each draw chooses as many flights as the log has, at random, with replacement. See
+        Each draw chooses as many flights as the log has, with replacement. The draws are seeded:
+        equal input gives equal draws. The power is linearised about `values`. See
         docs/theory/identification.md, eq. (4).
 
         Parameters
@@ -414,8 +416,8 @@ def _bounds(name: str) -> tuple[float, float]:
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
     """Return the upper bound of a drag coefficient in the fit.
 
-    With this coefficient, the drag at the largest airspeed in the log equals the vehicle's weight:
-    the vehicle is tilted by 45° in level flight at this airspeed.
+    With this coefficient, the drag at the largest airspeed in the log, at least 1 m/s, equals the
+    weight without payload: the vehicle is tilted by 45° in level flight at this airspeed.
 
     Parameters
     ----------
@@ -460,8 +462,9 @@ def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
 def undetermined(fit: Fit) -> tuple[str, ...]:
     """Return the names of the parameters that the flights do not determine.
 
-    A parameter is undetermined if changes of the other parameters can cancel almost all of its
-    effect on the computed power. See docs/theory/identification.md, eq. (3).
+    A parameter is undetermined if it has almost no effect on the computed power, or if changes of
+    the other parameters can cancel almost all of its effect. The effects are taken at the values
+    before the fit. See docs/theory/identification.md, eq. (3).
 
     Parameters
     ----------
@@ -552,7 +555,7 @@ def identify(
     Raises
     ------
     ScenarioError
-        If there is only one flight.
+        If there is only one flight, or if no attitude and thrust give a logged acceleration.
     """
     flights = frame[FLIGHT].unique()
     if len(flights) < 2:
@@ -587,7 +590,7 @@ def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArra
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
     The rows are too far apart if a fit to every second row changes a parameter by more than two
-    standard deviations and by more than 5 %.
+    standard deviations and by more than 5 %. Logs of more than 5000 rows are not tested for this.
 
     Parameters
     ----------
@@ -677,7 +680,7 @@ def changes(identification: Identification) -> Mapping[str, tuple[float, str]]:
         one.name: (
             one.value,
             f"identified from {count} flights, plus or minus {one.deviation:.2g}"
-            + (" (at its lower bound)" if one.is_at_bound else ""),
+            + (" (at the end of its range)" if one.is_at_bound else ""),
         )
         for one in identification.parameters
         if one.is_determined

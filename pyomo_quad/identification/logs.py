@@ -129,7 +129,13 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns flight, time, voltage and current; empty if the log lacks one of these columns.
+        Columns flight, time, voltage and current; empty if the log lacks one of these columns. Rows
+        with a missing value are left out.
+
+    Raises
+    ------
+    ScenarioError
+        If the file cannot be read.
     """
     whole = _read(file, printable(str(file)))
     wanted = [FLIGHT, TIME, *_ELECTRIC]
@@ -142,8 +148,8 @@ def read_voltages(file: Path, flown: pd.DataFrame) -> pd.DataFrame:
 def together(logs: Sequence[tuple[Path, pd.DataFrame]]) -> pd.DataFrame:
     """Join the flights of several logs in one table.
 
-    If two logs have a flight of the same name, the name of the log is put before each flight's
-    name.
+    If two logs have a flight of the same name, or if the types of the names differ, the name of the
+    log is put before each flight's name.
 
     Parameters
     ----------
@@ -246,7 +252,8 @@ def _wanted(names: Iterable[str]) -> dict[str, str]:
     -------
     dict
         Name of each needed column in the log -> name of the column in the package. The package's
-        names are the keys of the mapping `identification.columns.COLUMNS`.
+        names are the keys of the mapping `identification.columns.COLUMNS`. Voltage and current are
+        added if the log has them. With both, the power is not needed.
 
     Raises
     ------
@@ -388,9 +395,9 @@ def _complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield a message for each quantity that seems to be logged in thousandths of its unit.
+    """Yield a message for each flight whose voltage or current seems to be in mV or mA.
 
-    An example is a voltage in millivolts. `frame` has the rows of all flights.
+    `frame` has the rows of all flights.
     """
     for flight, rows in frame.groupby(FLIGHT, sort=False):
         for name, (most, thousandths) in _MOST.items():

@@ -124,6 +124,11 @@ class LoggedMotion:
         -------
         ndarray, shape (n_rows,)
             Power [W].
+
+        Raises
+        ------
+        ScenarioError
+            If no attitude and thrust give the logged acceleration of a row.
         """
         changed = dict(numbers or {})
         deciding = {name: value for name, value in changed.items() if name not in self._power_only}
@@ -172,6 +177,8 @@ class LoggedMotion:
 
     def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
         """Return the states that produce the logged accelerations, by Newton's method.
+
+        The states are kept as initial guess of the next call.
 
         Parameters
         ----------

@@ -150,8 +150,8 @@ class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
     The arrays `power` [W] and `voltage` [V per cell] have one column per flight and one row per
-    time step from the beginning of the flight, with zeros after its end. Flights that are too short
-    or have no load are left out.
+    time step from the beginning of the flight, with zeros after its end. A flight begins at most
+    3 s before its load. Flights that are too short or have no load are left out.
 
     Parameters
     ----------
@@ -371,7 +371,7 @@ class Circuit:
         Returns
         -------
         ndarray, shape (n_flights,)
-            Charge missing from the whole pack of each flight [A h].
+            Charge missing from the whole pack of each flight [A h], at most 95 % of the capacity.
         """
         # Voltage and power before the motors load the pack, or of the first row of the record.
         voltage, power = record.rest.T
@@ -392,8 +392,8 @@ class Circuit:
     def factors(self, record: Record, values: FloatArray) -> FloatArray:
         """Determine the factor on each pack's resistance from the first seconds under load.
 
-        The packs of the flights differ in age and temperature. The factor is chosen so that the
-        mean computed voltage in the first seconds under load equals the mean measured voltage.
+        The packs of the flights differ in age and temperature. The factor, limited to 0.2 to 5, is
+        chosen so that the mean computed voltage in these seconds equals the mean measured voltage.
 
         Parameters
         ----------
@@ -486,7 +486,7 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
     -------
     PackIdentification or None
         Fitted battery, with the standard deviations of its fields and the errors of its computed
-        voltages. None if there are too few flights of sufficient length.
+        voltages. None if fewer than five flights are long enough.
     """
     if frame.empty:
         return None
@@ -555,9 +555,9 @@ def _resistance(values: FloatArray) -> float:
 def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
-    The circuit has a relaxation resistance, whose voltage drop builds up slowly. It also has a
-    temperature on which the resistances depend, and a state of health (a factor on the
-    resistances).
+    The circuit has a relaxation resistance, whose voltage drop builds up slowly, and a temperature
+    on which the resistances depend. If the relaxation is missing, it gets 40 % of the cell
+    resistance. The state of health is replaced by that of a new pack.
 
     Parameters
     ----------

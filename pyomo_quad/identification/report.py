@@ -153,6 +153,7 @@ def pack_file(pack: PackIdentification) -> str:
     """Return the text of a battery file with the fitted battery, each number with its source.
 
     A battery file (TOML) holds the fields of a battery. Scenarios and vehicle files refer to it.
+    The state of health is left out.
 
     Parameters
     ----------
@@ -208,7 +209,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
     changed : mapping
         New value and its source, by the field's name.
     base : str
-        Base vehicle: the name of a vehicle of the library, or the path of a vehicle file (.toml).
+        Base vehicle: the name of a vehicle of the library, or the path of a vehicle file (.toml). A
+        battery file to which this file refers gets its absolute path.
     battery : str, optional
         Name of a battery file in the folder of the new vehicle file. Its battery replaces the
         battery of the base vehicle. By default, the base vehicle's battery is kept.

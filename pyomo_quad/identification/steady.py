@@ -129,7 +129,8 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     Raises
     ------
     ScenarioError
-        If the file cannot be read, or a value is not possible in flight.
+        If the file cannot be read, a value is not possible in flight, or the powers seem to be in
+        kilowatts or milliwatts.
     """
     points = filled_in(_read_csv(file), scenario)
     for name in points:
@@ -187,8 +188,8 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 def _read_csv(file: Path) -> pd.DataFrame:
     """Read a CSV table of measured points of steady flight, one point per row.
 
-    Only the columns that the mapping `STEADY_COLUMNS` of this module lists are read. `file` is the
-    path of the table.
+    Only the columns that the mapping `STEADY_COLUMNS` of this module lists are read, and at most
+    10000 points. `file` is the path of the table.
 
     Raises
     ------
@@ -292,12 +293,18 @@ def identify_steady(
     points : DataFrame
         Measured points, from `read_steady`.
     names : sequence of str, optional
-        Fields of the vehicle to fit. `fitting.FITTABLE` lists the fields that can be chosen.
+        Fields of the vehicle to fit. `fitting.FITTABLE` lists the fields that can be chosen. Of the
+        fields that the points determine, at most the first `len(points)` are fitted.
 
     Returns
     -------
     SteadyFit
         Fitted vehicle, and the fields that the points do not determine.
+
+    Raises
+    ------
+    ScenarioError
+        If the vehicle cannot fly steadily at a point.
     """
     frame = as_flights(points, scenario)
     motion = LoggedMotion(scenario, frame)

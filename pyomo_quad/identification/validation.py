@@ -129,12 +129,14 @@ def scores(frame: pd.DataFrame, power: FloatArray) -> Scores:
 def folds(frame: pd.DataFrame, count: int = _FOLDS) -> list[NDArray[np.object_]]:
     """Divide the flights at random into groups for cross-validation.
 
+    The division is seeded: equal flights in equal order give equal groups.
+
     Parameters
     ----------
     frame : DataFrame
         Rows of the flights.
     count : int, optional
-        Number of groups; with fewer flights, each flight is a group.
+        Number of groups, by default 10; with fewer flights, each flight is a group.
 
     Returns
     -------
@@ -177,7 +179,7 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     """Test how a model extrapolates to other payloads and speeds.
 
     If the payloads differ, the model is fitted to the heaviest payload and tested on the lightest.
-    If the speeds differ, it is fitted to slow flights and tested on the fastest.
+    If the speeds differ, it is fitted to the slower half of the speeds and tested on the fastest.
 
     Parameters
     ----------
@@ -217,7 +219,7 @@ def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
     """Return the usual ground speed in cruise [m/s] of the flight that each row belongs to.
 
     The usual speed is the 90 % quantile of the ground speed in cruise, rounded to a multiple of 2
-    m/s. It serves to group flights by speed.
+    m/s; 0 for a flight without cruise. It serves to group flights by speed.
 
     Parameters
     ----------

@@ -13,8 +13,9 @@ the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are 
 default for a vehicle that has any drag coefficient.
 
 The second part consists of forces along the body axes, whichever law the first part follows. They
-depend on the airspeed v in body axes and on the rotor speed omega. A force is declared only if its
-coefficient is not zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
+depend on the airspeed v in body axes and on the rotor speed omega. The three rotor forces are
+declared if one of their coefficients is not zero. The parasitic drag is declared if one of its
+coefficients is not zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)

@@ -35,8 +35,8 @@ declares. Flights stay within the edges of the terrain's grid, where the ground 
 stay within the grid of a wind field, unless the scenario's `wind.beyond` is "hold". Bottom and top
 of a zone are coordinates z, and not heights above the ground.
 
-A start, goal or waypoint on the surface of a zone is an error: even the smallest deviation towards
-the zone would violate the limit.
+A start, goal or waypoint inside a zone or on its surface is an error: on the surface, even the
+smallest deviation towards the zone would violate the limit. Waypoints with a radius are exempt.
 """
 
 from collections.abc import Mapping, Sequence
@@ -250,7 +250,7 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
     Raises
     ------
     ScenarioError
-        If start, goal or a waypoint is on the surface of a keep-out zone.
+        If start, goal or a waypoint without radius is inside a keep-out zone or on its surface.
     """
     _refuse_touching(scenario)
     b = m.airspace = Block(doc="airspace")
@@ -363,10 +363,9 @@ def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Raise a ScenarioError if a start, waypoint or goal is on the surface of a keep-out zone.
+    """Raise a ScenarioError if a start, waypoint or goal is in a keep-out zone or on its surface.
 
-    The surface includes the clearance and the smoothed edges of the zone. A waypoint with a radius
-    is not checked.
+    The zone includes its clearance and its smoothed edges. A waypoint with a radius is not checked.
     """
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.

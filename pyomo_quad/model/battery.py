@@ -168,7 +168,8 @@ def declare_loss(m: ConcreteModel) -> None:
 
     The energy lost is the integral of U_0 i - P, with the open-circuit voltage U_0 at the start,
     the current i and the power P. Energy plus loss is U_0 times the charge drawn in flight:
-    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12).
+    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12). To
+    compute U_0, the charge at the start is set to its initial value.
 
     Parameters
     ----------

@@ -49,13 +49,18 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         Model with the blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery,
-        limits, airspace, mission`` and, over terrain, ``ground``. The set ``time`` is not
-        discretised. Its members are the start, the end, and the times at which waypoints are
-        reached and left. Without waypoints, its members are the start, half the duration and the
-        end. The parameter ``clock`` is the time, for equations that depend on time. ``energy`` is
-        the energy of the flight [J], the integral of the power over time. The ``objective`` is
-        minimised. The suffix ``scaling_factor`` holds one over the usual magnitude of each
-        variable.
+        limits, airspace, mission``, over terrain ``ground``, and with a return reserve ``homing``.
+        The set ``time`` is not discretised. Its members are the start, the end, and the nominal
+        times at which waypoints are reached and left. Without waypoints, its members are the start,
+        half the duration and the end. A free duration is the variable ``duration``. The parameter
+        ``clock`` is the time, for equations that depend on time. ``energy`` is the energy of the
+        flight [J], the integral of the power over time. The ``objective`` is minimised. The suffix
+        ``scaling_factor`` holds one over the usual magnitude of each variable.
+
+    Raises
+    ------
+    ScenarioError
+        If start, goal or a waypoint without radius is inside a keep-out zone or on its surface.
 
     Examples
     --------
@@ -123,8 +128,8 @@ def build_remaining(scenario: Scenario) -> ConcreteModel:
         - The mutable parameter `aerodynamics.unexplained` [m/s^2], initially zero, is added to the
           horizontal acceleration. During the flight, the planner sets it to the observed
           acceleration less the modelled acceleration.
-        - The limits are soft: a flight may violate them, but each violation adds a penalty to the
-          objective. See `model.soft_limits`.
+        - Most limits are soft: a flight may violate them, but each violation adds a penalty to the
+          objective. See `model.soft_limits`, which names the hard limits.
 
     Examples
     --------
@@ -208,7 +213,10 @@ def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def parameter_values(scenario: Scenario) -> dict[str, float]:
-    """Return the values of all model parameters, to solve a compiled model for another scenario.
+    """Return a scenario's parameter values, to solve a compiled model for another scenario.
+
+    The parameters are those that `model.parameters.parameters_in` registers. The places of the
+    waypoints are not among them.
 
     Parameters
     ----------
@@ -244,9 +252,10 @@ def structure_key(scenario: Scenario) -> Hashable:
     Returns
     -------
     hashable
-        Two scenarios have equal keys if their models differ only in the values of parameters and in
-        the length of a fixed duration. The compiled model of one scenario can then be solved for
-        the other scenario, with the values from `parameter_values`.
+        If two scenarios have equal keys, their models differ only in the values of parameters, the
+        length of a fixed duration, and initial guess and scaling (`guess_key`). The compiled model
+        of one scenario can then be solved for the other, with the values from `parameter_values`.
+        Missions with different waypoints have different keys.
 
     Examples
     --------
@@ -276,7 +285,7 @@ def structure_key(scenario: Scenario) -> Hashable:
 
 
 def guess_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios with the same initial guess and variable scaling.
+    """Return a key; scenarios with equal keys have the same initial guess and variable scaling.
 
     The key is the scenario without its wind, because guess and scaling are independent of the wind.
     """

@@ -81,7 +81,7 @@ def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
         Time in flight [s].
     side : int, optional
         1 for a floor: the surface is nowhere below the ground. -1 for a ceiling: the surface is
-        nowhere above the ground.
+        nowhere above the ground; over terrain, the airspace must have a ceiling.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

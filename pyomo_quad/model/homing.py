@@ -111,7 +111,7 @@ def declare_homing(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, `wind` and `battery`.
+        Model that already declares `time`, `rigid_body`, `wind`, `battery` and `airspace`.
     scenario : Scenario
         Scenario with the mission. Nothing is declared if the mission keeps no charge for a return.
     """

@@ -1,4 +1,4 @@
-"""Limits on attitude, rotors, thrust and moments, and on the battery.
+"""Limits on attitude, rotors, thrust, moments, speed and airspeed, and on the battery.
 
 The module declares the limits of eq. (10) of the paper (Yacef et al.), with two changes:
 
@@ -73,12 +73,14 @@ def without_reserve(numbers: dict[str, float] | None) -> dict[str, float] | None
 
 
 def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare every limit of a scenario as a path constraint in block `limits`.
+    """Declare limits of vehicle and battery as path constraints in block `limits`.
+
+    The limits are those on attitude, rotors, thrust, moments, speed, validated range and battery.
 
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, `rotors`, `wind` and `battery`.
+        Model that already declares `time`, `rigid_body`, `rotors`, `wind`, `power` and `battery`.
     scenario : Scenario
         Source of the limits; an optional limit is declared only if the scenario sets it.
     """

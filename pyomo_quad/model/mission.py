@@ -5,7 +5,7 @@ of the plan.
 
 The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal, a speed at which the
 thrust is 0.07 % less than the weight. In this module, the thrust at start and goal equals the
-weight: the rotor speed omega satisfies 4 kappa_b omega^2 = m g.
+weight: the rotor speed omega satisfies n kappa_b omega^2 = m g for n rotors.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -135,6 +135,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare hover at start and goal and the conditions at waypoints in block `mission`.
+
+    If the scenario keeps the heading, the path constraint `yaw_keeping` is declared, too.
 
     Parameters
     ----------

@@ -172,7 +172,7 @@ def positive_part(value: NumericExpression, width: NumericExpression) -> Numeric
     -------
     expression
         The smooth maximum. It exceeds max(value, 0) by width/2 at value = 0, and by about
-        width^2/(4 |value|) far from zero.
+        width^2/(4 abs(value)) far from zero.
     """
     return (value + sqrt(value**2 + width**2)) / 2
 

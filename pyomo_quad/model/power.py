@@ -119,7 +119,11 @@ _SMOOTHING = "smoothing"
 
 @parameters_in("power")
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
-    """Return the parameters that the scenario's power model declares in block `power`."""
+    """Return the parameters that the scenario's power model declares in block `power`.
+
+    The models `motor`, `motor_with_friction` and `shaft` have none of their own; block `vehicle`
+    has the motor constants. Without `power.regeneration`, every model has `smoothing` [W].
+    """
     guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
     return (*_NUMBERS.get(scenario.power.model, ()), *guard)
 
@@ -134,8 +138,9 @@ def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
     Returns
     -------
     tuple of dict
-        Each dictionary maps the full name of the model's width parameter to the width [W]. The
-        tuple is empty if regeneration is enabled, because the power then has no kink.
+        Each dictionary maps the full name of the model's width parameter to the width [W]. All
+        widths are more than twice the scenario's own width, which is not included. The tuple is
+        empty if regeneration is enabled, because the power then has no kink.
     """
     if scenario.power.regeneration:
         return ()

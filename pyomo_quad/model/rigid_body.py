@@ -157,8 +157,9 @@ def _declare_translation(b: Block, m: ConcreteModel) -> None:
 def turning(b: Block, t: float) -> NumericExpression:
     """Return dpsi/dt cos(theta) [rad/s], for the yaw angle psi and the pitch angle theta.
 
-    In terms of the body rates, it is q sin(phi) + r cos(phi). `b` is the block `rigid_body`, and
-    `t` the time in flight [s]. If the heading is constant, a constraint limits the magnitude.
+    In terms of the body rates, it is q sin(phi) + r cos(phi), exact if `vehicle.attitude` is
+    "euler". `b` is the block `rigid_body`, and `t` the time in flight [s]. If the heading is
+    constant, a constraint limits the magnitude.
     """
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 

@@ -110,7 +110,8 @@ def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
 
     Speeds are states and accelerations are controls. The mixer gives total thrust [N], moments
     about the body axes [N m], and the speed imbalance [rad/s]: the sum of the rotor speeds, signed
-    by the direction of rotation.
+    by the direction of rotation. With `vehicle.attitude` "euler", `yaw_reaction` [N m] is the
+    moment of accelerating rotors on the body.
 
     Parameters
     ----------

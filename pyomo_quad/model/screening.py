@@ -11,6 +11,7 @@ from enum import StrEnum
 from io import StringIO
 from itertools import permutations
 from math import inf
+from typing import Any
 
 from pyomo.common.log import LoggingIntercept
 from pyomo.core import ConcreteModel, Constraint, Expression, Param, Suffix, Var, value
@@ -88,6 +89,8 @@ def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
     - limits that are never active, because another limit of the variable is tighter,
     - limits that contradict each other,
     - equality constraints that set a variable to a value outside its limits.
+
+    Limits are the bounds of a variable and linear constraints of one variable alone.
 
     Parameters
     ----------
@@ -332,8 +335,8 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     Returns
     -------
     ModelInspection
-        The counts and the unit errors. A variable or constraint over time is counted once, and not
-        for each time.
+        The counts and the unit errors. A variable or constraint over time is counted once, at the
+        middle member of the set of times.
 
     Examples
     --------
@@ -371,7 +374,9 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
 
 
 def unit_errors(model: ConcreteModel) -> tuple[str, ...]:
-    """Check the units of every declared relation, expression and objective.
+    """Check the units of every active constraint and named expression.
+
+    Integrals and objectives are not checked.
 
     Parameters
     ----------
@@ -413,9 +418,13 @@ def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[In
 def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
     """Return the members of a time-indexed component whose time is `instant`.
 
-    A component that is indexed by rotor and time, for example, has one such member per rotor.
+    A component that is indexed by rotor and time, for example, has one such member per rotor. A
+    component without members at this time, such as a limit in a hover, gives those at its first
+    time.
     """
-    return [d for index, d in component.items() if instant in _as_tuple(index)[-1:]]
+    at: set[Any] = {_as_tuple(index)[-1] for index in component}
+    time = instant if instant in at else min(at, default=instant)
+    return [d for index, d in component.items() if _as_tuple(index)[-1] == time]
 
 
 def _as_tuple(index: Hashable) -> tuple[Hashable, ...]:

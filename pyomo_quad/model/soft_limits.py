@@ -2,7 +2,8 @@
 
 Replanning in flight uses soft limits, so that a plan exists even if the measured state already
 violates a limit. The physical limits of rotors (speed, acceleration, thrust, moments) and pack
-(greatest power) stay hard: they always permit some flight.
+(greatest power, positive voltage) stay hard: they always permit some flight. The edges of terrain
+and wind data stay hard, too.
 
 symbol | name | unit | meaning
 s_k | most[k] | unit of limit k | largest violation of limit k over time
@@ -83,8 +84,9 @@ def usual_price(scenario: Scenario) -> float:
 def soften(m: ConcreteModel, scenario: Scenario) -> None:
     """Replace limits and end conditions of a model by soft constraints, in block `soft`.
 
-    The sum of all violations, times the penalty per unit, is added to the objective. The limits of
-    the rotors and the greatest power of the pack stay hard.
+    The original constraints are deactivated. The objective is deactivated, too, and replaced by
+    `soft_objective`, which adds all violations times the penalty per unit. The docstring of this
+    module names the limits that stay hard.
 
     Parameters
     ----------

@@ -105,8 +105,9 @@ PARAMETERS = (
 def turbulence_values(scenario: Scenario) -> dict[str, float]:
     """Return the values of the parameters in block `wind.turbulence`, by full name.
 
-    The parameters are the wind at 6 m above the ground, `wind.turbulence.wind_at_6_m` [m/s], and
-    the direction of the mean airflow over the vehicle, `wind.turbulence.direction` [rad].
+    The parameters are the wind at 6 m above the ground, `wind.turbulence.wind_at_6_m` [m/s], zero
+    for a scenario without turbulence, and the direction of the mean airflow over the vehicle,
+    `wind.turbulence.direction` [rad].
     """
     return dict(parameter_items(_BLOCK, PARAMETERS, scenario))
 

@@ -83,7 +83,8 @@ def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
     Returns
     -------
     tuple of TypesetEquation
-        In the order of declaration; a component over rotors gives one equation with the index j.
+        In the order of declaration; a component over rotors gives one equation with the index j. A
+        component over another set gives the equation of its first member.
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
     instant = sorted(time)[len(time) // 2]

@@ -139,8 +139,9 @@ def _mean(scenario: Scenario, name: str) -> float:
 def mean_wind(scenario: Scenario) -> FloatArray:
     """Return the mean horizontal wind along world x and y, shape (2,) [m/s].
 
-    The kind of wind determines where the mean is taken:
+    The kind of wind determines the mean:
 
+    - formula: v_0, without harmonics and gust,
     - wind profile: at the reference height,
     - wind measured at several heights: at 10 m above the ground (`USUAL_HEIGHT`),
     - wind field: over all places with wind.
@@ -199,6 +200,9 @@ for _name in _HORIZONTAL:
 
 def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the wind velocity over time in block `wind`, from a formula, a table or a field.
+
+    The expressions are `velocity_x`, `velocity_y` and, if the wind has a vertical part,
+    `velocity_z` [m/s].
 
     Parameters
     ----------

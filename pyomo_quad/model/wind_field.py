@@ -73,7 +73,7 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     m : ConcreteModel
         Model that already declares `time` and `rigid_body`. Its block `wind` already declares
         `wind_time`, the time on the time axis of the wind data [s], and the factor `field_unit`
-        [m/s], by which the splines are multiplied.
+        [m/s], by which the splines are multiplied. The block receives splines and components.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
@@ -143,22 +143,32 @@ def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
         The first array axis is the component, the other array axes are those of the grid.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
-    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
 
-    values, axes = np.array(grid.components), [np.array(axis) for axis in grid.axes]
-    has_wind = np.isfinite(values).all(axis=0)
-    if not has_wind.all():
-        steps = [float(np.diff(axis).mean()) for axis in axes]
-        nearest = distance_transform_edt(
-            ~has_wind, sampling=steps, return_distances=False, return_indices=True
-        )
-        values = values[(slice(None), *nearest)]
+    values, axes = with_nearest_wind(grid), [np.array(axis) for axis in grid.axes]
     for number, axis in enumerate(axes):
         if axis.size < _SPLINE_POINTS:
             axes[number] = np.linspace(axis[0], axis[-1], _SPLINE_POINTS)
             through = BarycentricInterpolator(axis, values, axis=number + 1)
             values = through(axes[number])
     return axes, values
+
+
+def with_nearest_wind(grid: WindGrid) -> FloatArray:
+    """Return the wind [m/s] of a grid, with the nearest known wind at points without wind.
+
+    The first array axis is the component, the other array axes are those of the grid.
+    """
+    from scipy.ndimage import distance_transform_edt  # noqa: PLC0415  for fields alone
+
+    values = np.array(grid.components)
+    has_wind = np.isfinite(values).all(axis=0)
+    if has_wind.all():
+        return values
+    steps = [float(np.diff(axis).mean()) for axis in grid.axes]
+    nearest = distance_transform_edt(
+        ~has_wind, sampling=steps, return_distances=False, return_indices=True
+    )
+    return np.asarray(values[(slice(None), *nearest)])
 
 
 def wind_corners(scenario: Scenario) -> FloatArray:

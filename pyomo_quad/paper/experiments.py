@@ -84,7 +84,7 @@ class BaselineCase:
 
     @property
     def title(self) -> str:
-        """Name of the flight in a progress display."""
+        """Experiment and reference as a text for a progress display, without the power model."""
         return f"experiment {self.experiment.value}, {baseline_name(self.reference)}"
 
 
@@ -102,6 +102,8 @@ class BaselineFlight:
 
 def baseline_cases(*, is_quick: bool = False) -> tuple[BaselineCase, ...]:
     """List the settings of the report's flights under the adaptive controller.
+
+    The power models are `motor` and `efficiency`.
 
     Parameters
     ----------
@@ -166,7 +168,8 @@ class FlightCase:
     """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
     The paper leaves open how the wind acts, in which unit its frequencies are, and which battery is
-    meant. An object of this class has one choice for each of these questions.
+    meant. An object of this class has one choice for each of these questions. If `is_quick` is
+    true, the mesh is coarse and not refined.
     """
 
     experiment: Experiment
@@ -178,7 +181,7 @@ class FlightCase:
 
     @property
     def title(self) -> str:
-        """Name of the flight in a progress display."""
+        """Experiment and power model as a text for a progress display, without wind and battery."""
         return f"experiment {self.experiment.value}, {self.power_model.value}"
 
     @property
@@ -272,7 +275,8 @@ def wind_cases(*, is_quick: bool = False) -> tuple[FlightCase, ...]:
 def fly_case(case: FlightCase) -> PaperFlight:
     """Plan a flight of an experiment of Yacef et al., and verify it by simulation.
 
-    `case` gives experiment, power model, wind and battery.
+    `case` gives experiment, power model, wind and battery. Under the models `efficiency`,
+    `constant_efficiency` and `shaft`, the solve starts from the optimum of the model `motor`.
     """
     plan = _plan(case.scenario, Planner())
     return PaperFlight(

@@ -84,6 +84,11 @@ def energy_chain(flown: PaperFlight) -> EnergyChain:
     -------
     EnergyChain
         Energies and losses [J].
+
+    Raises
+    ------
+    ScenarioError
+        If the vehicle has no motor constants.
     """
     frame, scenario = flown.flight.frame, flown.case.scenario
     time = frame[TIME].to_numpy()

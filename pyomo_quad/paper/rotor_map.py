@@ -198,7 +198,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     -------
     bound, speed : float
         Weakest braking at which f_r is zero, as an absolute rotor acceleration [rad/s²], and the
-        rotor speed at which f_r is zero with this braking [rad/s].
+        rotor speed at which f_r is zero with this braking [rad/s]. Braking up to 3000 rad/s² is
+        searched.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)

@@ -53,7 +53,7 @@ class PackFacts:
     hover_energy_J, hover_power_W : float
         Energy of a hover of the mission's duration, and power of this hover.
     greatest_power_W : float
-        Greatest power that the pack can supply.
+        Greatest power that the pack can supply at the start of the mission.
     shortfalls : tuple of str
         Reasons why the pack cannot supply a hover of the mission's duration, one line each.
     """
@@ -121,7 +121,7 @@ class PaperStudy:
     Attributes
     ----------
     flights : tuple of PaperFlight
-        Optimal flights of both experiments, one for each power model.
+        Optimal flights of both experiments, one for each power model except `momentum`.
     wind_flights : tuple of PaperFlight
         Optimal flights in wind, one for each interpretation of the wind that the paper permits.
     battery_flights : tuple of PaperFlight
@@ -133,7 +133,8 @@ class PaperStudy:
     floors : dict
         Array for each of the two interpretations of f_r: limited from below, and the bare
         polynomial. The array has two columns: an upper bound on the absolute rotor acceleration
-        [rad/s²], and the least energy of any flight within this bound [J].
+        [rad/s²], and a lower bound on the energy of any flight within it [J]. The lower bound may
+        be minus infinity.
     critical_acceleration, critical_speed : float
         Weakest braking of a rotor at which f_r reaches zero, as an absolute rotor acceleration
         [rad/s²], and the rotor speed at which this occurs [rad/s].
@@ -143,7 +144,7 @@ class PaperStudy:
         Results of solves under f_r on fixed meshes, with different bounds on the rotor
         acceleration.
     seconds : dict
-        Wall time of each result [s], by name.
+        Wall time of each result [s], by "part: name", such as "critical: zeros of f_r".
     """
 
     flights: tuple[experiments.PaperFlight, ...]

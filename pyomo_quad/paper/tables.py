@@ -122,7 +122,8 @@ _LARGEST_PLAIN, _SMALLEST_PLAIN = 1e6, 1e-2
 def kilojoules(energy: float, digits: int = 3) -> str:
     """Format an energy [J] as text in kJ, with `digits` decimals.
 
-    Energies of 1 MJ or more have two significant digits. Minus infinity becomes "no minimum".
+    Energies of 1 MJ or more have two significant digits. Minus infinity becomes "no minimum", NaN
+    and plus infinity become "n/a".
     """
     if energy == -float("inf"):
         return "no minimum"
@@ -184,6 +185,11 @@ def find_flight(
         The experiment.
     model : PowerModel
         The power model.
+
+    Raises
+    ------
+    StopIteration
+        If there is no such flight.
     """
     return next(
         flown
@@ -207,6 +213,11 @@ def find_baseline(
         The power model.
     reference : Reference
         The reference trajectory.
+
+    Raises
+    ------
+    StopIteration
+        If there is no such flight.
     """
     return next(
         flown

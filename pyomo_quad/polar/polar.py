@@ -52,7 +52,8 @@ class SteadyCurve:
     payload_kg : float
         Mass of the payload [kg].
     airspeeds : ndarray, shape (n,)
-        Airspeeds in equal steps from 0 to the greatest that the vehicle can fly [m/s].
+        Airspeeds from 0 in steps of 0.5 m/s [m/s]. The last is the greatest that the vehicle can
+        fly, or 39.5 m/s.
     powers : ndarray, shape (n,)
         Power at each airspeed [W].
     endurances : ndarray, shape (n,)
@@ -68,15 +69,14 @@ class SteadyCurve:
     def power(self, airspeed: FloatArray | float) -> FloatArray:
         """Return the power [W] of level flight at one or more airspeeds [m/s], by interpolation.
 
-        The power is infinite above the greatest airspeed that the vehicle can fly.
+        The power is infinite above the last of `airspeeds`.
         """
         return self._between(self.powers, airspeed, np.inf)
 
     def endurance(self, airspeed: FloatArray | float) -> FloatArray:
         """Return the flight time [s] on one battery charge at one or more airspeeds [m/s].
 
-        The flight time is interpolated, and zero above the greatest airspeed that the vehicle can
-        fly.
+        The flight time is interpolated, and zero above the last of `airspeeds`.
         """
         return self._between(self.endurances, airspeed, 0.0)
 
@@ -113,8 +113,8 @@ class SteadyCurve:
         Returns
         -------
         GroundSpeed
-            The best ground speed, with airspeed, power and endurance. The ground speed is zero if
-            the wind is too strong for the course.
+            The best ground speed, with airspeed, power and endurance. If the wind is too strong for
+            the course, endurance and range are zero, and the speeds have no meaning.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -124,7 +124,8 @@ class SteadyCurve:
         def cost(ground_speed: FloatArray | float) -> FloatArray:
             return np.asarray((self.power(airspeed(ground_speed)) + price_of_time) / ground_speed)
 
-        fastest = max(along + np.sqrt(max(0.0, self.airspeeds[-1] ** 2 - across**2)), 0.0)
+        ahead = self.airspeeds[-1] ** 2 - across**2
+        fastest = along + np.sqrt(ahead) if ahead >= 0.0 else 0.0
         if fastest <= _SLOWEST_GROUND_SPEED:
             return GroundSpeed(ground_speed=0.0, airspeed=np.nan, power=np.nan, endurance=0.0)
         best = _least(cost, np.linspace(_SLOWEST_GROUND_SPEED, fastest, _TRIALS))
@@ -158,13 +159,14 @@ class GroundSpeed:
     Attributes
     ----------
     ground_speed : float
-        Speed over the ground [m/s]; zero if the wind is too strong for the course.
+        Speed over the ground [m/s]; without meaning if `endurance` is zero.
     airspeed : float
         Speed through the air [m/s]; NaN at zero ground speed.
     power : float
-        Power [W]; NaN at zero ground speed.
+        Power [W]; NaN at zero ground speed, infinite above the vehicle's greatest airspeed.
     endurance : float
         Flight time [s], from a full battery to the least state of charge that the scenario allows.
+        It is zero if the wind is too strong for the course.
     """
 
     ground_speed: float
@@ -192,12 +194,14 @@ class Polar:
     scenario : Scenario
         Scenario with the vehicle.
     curves : tuple of SteadyCurve
-        Curve of each payload, the scenario's own payload first.
+        Curve of each payload: the scenario's own payload, then 10 % and 20 % of the vehicle's mass
+        more.
     winds : DataFrame
         One row for each wind speed [m/s] and each angle [deg] between the course and the direction
-        to which the wind blows. The further columns are best ground speed and airspeed [m/s], power
-        [W], energy per metre over ground [J/m], and range [m]. The best ground speed has the least
-        energy per metre.
+        to which the wind blows. The angles are 0 to 180 degrees; in calm air there is one row, with
+        angle 0. The further columns are best ground speed and airspeed [m/s], power [W], energy per
+        metre over ground [J/m], and range [m]. The best ground speed has the least energy per
+        metre.
     reach : DataFrame
         One row for each course [deg]: ground speed on the way out and on the way back [m/s], and
         greatest distance [m] from which the vehicle returns to the start on the same battery
@@ -240,7 +244,7 @@ def find_polar(scenario: Scenario) -> Polar:
     Raises
     ------
     SolveError
-        If the vehicle cannot hover.
+        If the vehicle cannot hover with one of the payloads (see `Polar.curves`).
     """
     planner = Planner()
     depth = 1.0 - scenario.limits.least_charge
@@ -265,10 +269,11 @@ def find_polar(scenario: Scenario) -> Polar:
 
 
 def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> SteadyCurve:
-    """Compute power and endurance of level flight at airspeeds in equal steps from 0.
+    """Compute power and endurance of level flight at airspeeds from 0 in steps of 0.5 m/s.
 
-    The airspeeds end where the thrust, a rotor speed or the tilt would exceed its limit, and at 40
-    m/s at the latest.
+    The airspeeds end before thrust, rotor speed, roll or pitch exceeds its limit, or where no
+    steady flight exists. The last possible value is 39.5 m/s. Airspeed 0 is kept even if it exceeds
+    a limit.
 
     Parameters
     ----------
@@ -279,6 +284,11 @@ def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> Stea
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
+
+    Raises
+    ------
+    SolveError
+        If the vehicle cannot hover.
     """
     speeds: list[float] = []
     powers: list[float] = []
@@ -296,6 +306,11 @@ def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> Stea
         speeds.append(float(speed))
         powers.append(float(steady.reading(("power.total",), trim)[0]))
         endurances.append(steady.endurance(trim, depth, _SAMPLES))
+    if len(speeds) < 2:
+        raise SolveError(
+            f"{scenario.name}: level flight at {_STEP_M_S:g} m/s is beyond a limit on roll, pitch, "
+            "thrust or rotor speed; must be within them; raise the limit or lower the mass."
+        )
     return SteadyCurve(
         payload_kg=scenario.vehicle.payload,
         airspeeds=np.array(speeds),

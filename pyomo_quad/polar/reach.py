@@ -1,13 +1,14 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level, at the ground speed of least energy per metre in the local wind.
-Over rising terrain the vehicle climbs to keep the floor, the least allowed height above ground.
-Keep-out zones are ignored.
+The wind is that at the start of the mission. Over rising terrain the vehicle climbs to keep the
+floor, the least allowed height above ground. Keep-out zones are ignored.
 
 The usable charge is the charge above the least state of charge that the scenario allows. If this
 charge lasts for a range of R metres in the local wind, one metre takes the fraction 1 / R of it.
 Climbs take further fractions, and so does the way back if the vehicle returns. The reach ends where
-all fractions sum to 1, or at the edge of the terrain or wind field.
+all fractions sum to 1, or at the edge of the terrain or wind field. It also ends where the wind is
+too strong.
 """
 
 import json
@@ -398,7 +399,8 @@ _ARROWS = 9  # along each side of the map
 def draw_reach_map(reach: Reach) -> Figure:
     """Draw a map of the places that a vehicle reaches on one battery charge, and of the wind.
 
-    Arrows show the wind.
+    Arrows show the wind at the height of the start. The boundary is dotted where the wind field or
+    the terrain ends.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Report of a campaign: the same missions flown in turn until the battery is empty.
+"""Report of a campaign: the same missions flown in turn until no further flight is possible.
 
 A campaign counts the flights that each battery charge permits. The report has a table of the
 flights and a figure of charge and voltage.
@@ -26,8 +26,8 @@ def write_campaign(
 ) -> dict[str, Any]:
     """Write the report of a campaign: table (CSV), `summary.json`, figure and text.
 
-    A campaign repeats missions on each of one or more battery charges, until no further flight is
-    possible on the charge.
+    A campaign repeats missions on each of one or more battery charges. A charge ends if no further
+    flight is possible, or after 1000 flights.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def campaign_summary(campaign: Campaign) -> dict[str, Any]:
     """Return the results of a campaign as a dictionary for `summary.json`.
 
     For each battery charge, the dictionary holds the number of flights and the reason why no
-    further flight was possible.
+    further flight followed.
     """
     plans = [flight.plan for flight in campaign.flights]
     return {
@@ -92,7 +92,7 @@ def campaign_words(campaign: Campaign) -> list[str]:
     """Return one sentence for each battery charge of a campaign of repeated missions.
 
     The sentence gives the number, total time and total energy of the flights on the charge, and the
-    reason why no further flight was possible.
+    reason why no further flight followed.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def draw_campaign(campaign: Campaign) -> Figure:
     """Draw state of charge and lowest pack voltage of each flight of a campaign, in two panels.
 
     The state of charge is drawn at the start and at the end of each flight. Dashed lines mark the
-    lowest permitted values.
+    lowest permitted values of the first mission, if it limits them.
 
     Parameters
     ----------

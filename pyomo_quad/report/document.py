@@ -37,8 +37,8 @@ class Drawing:
     draw : callable
         Function without arguments that draws and returns the matplotlib Figure.
     needs : tuple of str
-        Columns of a flight's table that the figure shows. If one is missing, the figure is left
-        out.
+        Columns of a flight's table that the figure shows. If one is missing, the lists of
+        `report.gallery` leave the figure out; `write_study` does not check this.
     formats : tuple of str
         File endings in which the figure is written.
     """
@@ -189,6 +189,9 @@ def write_text(file: Path, template: str, **values: object) -> None:
 @contextmanager
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
     """Context manager: draw and save figures on other cores while the ``with`` block runs.
+
+    At the end of the block, this process draws the figures that are left. If the block raises,
+    figures may be missing.
 
     Parameters
     ----------

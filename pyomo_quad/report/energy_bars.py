@@ -114,7 +114,10 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
 
 
 def has_equal_durations(comparison: pd.DataFrame) -> bool:
-    """Return whether the flights of each scenario in a comparison table have equal durations."""
+    """Return whether the flights of each scenario in a comparison table have equal durations.
+
+    Durations are equal up to the relative tolerance `SAME_TIME`.
+    """
     times = comparison.groupby(ComparisonColumn.SCENARIO)[ComparisonColumn.DURATION]
     return bool((times.max() <= times.min() * (1.0 + SAME_TIME)).all())
 

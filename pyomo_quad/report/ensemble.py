@@ -109,9 +109,10 @@ def ensemble_drawings(
 
 
 def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
-    """Draw the paths of some flights of an ensemble, and the path that all flights should follow.
+    """Draw the paths of the first flights of an ensemble, and the path that all should follow.
 
-    One panel shows the paths from above, the other panel from the front.
+    At most `SHOWN_PATHS` flights are drawn. One panel shows the paths from above, the other panel
+    from the front.
 
     Parameters
     ----------

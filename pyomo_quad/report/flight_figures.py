@@ -1,4 +1,8 @@
-"""Figures of flights, one function for each figure; the first flight is always the plan."""
+"""Figures of flights: states, controls, energy, battery, wind, mesh and others.
+
+Each function `draw_...` makes a figure or draws into a panel. In each sequence of flights, the
+first flight is the plan.
+"""
 
 from collections.abc import Sequence
 from itertools import chain
@@ -238,7 +242,7 @@ def draw_energy(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figur
     """Draw power, energy, and energy above hovering of flights over time, in three panels.
 
     Energy above hovering at a time t is the energy that a flight has used until t, less the energy
-    of hovering until t.
+    of hovering until t. Short peaks of power may be cut off (see `cut_flights`).
 
     Parameters
     ----------
@@ -311,7 +315,8 @@ def coinciding_flights(
     """Return the flights whose curve of energy above hovering coincides with the plan's curve.
 
     Energy above hovering at a time t is the energy that a flight has used until t, less the energy
-    of hovering until t.
+    of hovering until t. Curves of equal duration coincide if they differ by at most 1 % of their
+    range.
 
     Parameters
     ----------
@@ -376,7 +381,8 @@ def draw_mesh(
     Parameters
     ----------
     history : sequence of MeshRecord
-        Size and error estimate of each mesh, from the first to the last.
+        Size and error estimate of each mesh, from the first to the last. Meshes without a finite
+        estimate are not drawn.
     mesh : Mesh
         The last mesh: element boundaries and polynomial degrees.
     tolerance : float
@@ -432,6 +438,8 @@ def _draw_elements(axes: Axes, mesh: "Mesh", duration: float) -> None:
 
 def draw_power(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw the power of flights over time, and the power of hovering as a dotted line.
+
+    Short peaks may be cut off (see `cut_flights`).
 
     Parameters
     ----------

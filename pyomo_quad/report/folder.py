@@ -45,7 +45,8 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     ------
     OutputError
         If the folder cannot be written, the disk is full, another run is writing the folder, or the
-        final folder holds files that this package did not write.
+        final folder holds files that this package did not write. Any OSError of the block also
+        becomes an OutputError.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -84,8 +85,9 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
         Final file. If it is a character device or FIFO, such as ``/dev/stdout``, the content is
         copied to it.
     mark : str, optional
-        Text that marks files of this package. The caller must write the text into the new file. An
-        existing regular file is replaced only if it contains the text or is empty.
+        Text that marks files of this package. The caller must write the text into the first or the
+        last 64 KiB of the new file. An existing regular file is replaced only if it contains the
+        text there or is empty.
 
     Yields
     ------
@@ -95,7 +97,8 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the file cannot be written, or if a non-empty file exists that lacks the text `mark`.
+        If the file cannot be written, or if a non-empty file exists that lacks the text `mark`. Any
+        OSError of the block also becomes an OutputError.
     """
     final = final_folder(path)
     try:
@@ -271,7 +274,7 @@ def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
 
     The hidden name is ``.NAME.ready`` for a final folder NAME. If this folder does not exist, or no
     run of this package made it, nothing is renamed. An old folder at the final path is first
-    renamed to `aside`.
+    renamed to `aside`. Raises OutputError if the old folder holds files that no run wrote.
 
     Parameters
     ----------

@@ -91,19 +91,23 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
 
     - of columns that the plan's table lacks, as with a user's own Pyomo model;
     - of columns with values that are not finite, as after a failed solve;
-    - of the wind, in calm air.
+    - of the wind, in calm air;
+    - of the costates, if the plan's controls were not simulated;
+    - of costates and mesh, if the plan was made without an optimisation.
 
     Parameters
     ----------
     plan : Plan
         The plan.
     flights : sequence of StyledFlight
-        Flights to draw; the first is the plan's.
+        Flights to draw; the first is the plan's. If the scenario has a wind forecast, the second
+        flight must be a flight in the true wind.
 
     Returns
     -------
     tuple of Drawing
-        Figures of paths, states, controls, energy, motors, battery, wind, costates and mesh.
+        Figures of paths, states, controls, energy, motors, battery, wind, costates and mesh. Some
+        missions also have figures of the height above ground and of the speed along the path.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -128,6 +132,9 @@ def flight_drawings(
     mission: "Scenario | None" = None,
 ) -> tuple[Drawing, ...]:
     """List the figures that need only the tables of flights: paths, motion, energy, wind.
+
+    A figure is left out if one of its columns is missing or not finite in the plan's table. In calm
+    air, the figure of the wind is left out.
 
     Parameters
     ----------
@@ -175,7 +182,8 @@ def comparison_drawings(
 
     The map and the power show the plan and its rival (see `rival_of`). The energy bars show the
     plan and the flights that reached the goal and kept all limits. The result is empty if the
-    plan's table has no positions.
+    plan's table has no positions. The caller must leave out figures whose other columns are missing
+    (`Drawing.needs`).
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Placement of text labels in a figure so that labels cover neither each other nor curves."""
+"""Placement of text labels in a figure so that they cover few curves and few other labels."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -104,9 +104,10 @@ def _shifts(size: FloatArray) -> Iterable[FloatArray]:
 
 
 def _curves(axes: Axes) -> FloatArray:
-    """Return the points of all curves in a panel, `axes`, in pixels, shape (n, 2).
+    """Return the points of the curves in a panel, `axes`, in pixels, shape (n, 2).
 
-    `write_labels` places labels so that they cover few of these points.
+    `write_labels` places labels so that they cover few of these points. Lines with at most two
+    points are left out.
     """
     points = [np.empty((0, 2))]
     for line in axes.get_lines():

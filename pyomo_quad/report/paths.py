@@ -370,6 +370,9 @@ def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
 def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> list[Label]:
     """Draw terrain, zones, height limits and waypoints of a mission as seen along one axis.
 
+    The fence is drawn only in the view from above, floor and ceiling only in side views without
+    terrain.
+
     Parameters
     ----------
     axes : Axes
@@ -450,7 +453,7 @@ def _draw_projection(
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
     """Return position [m], name and marker of the two ends of a plan's path, for figures.
 
-    If start and goal are the same place, the result has only one entry.
+    If start and goal are closer than 1 % of the path length, the result has only one entry.
     """
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()
@@ -593,6 +596,7 @@ def _rounded(values: np.ndarray) -> list[Any]:
 def script_json(value: object) -> str:
     """Return a value as JSON text that is safe inside an HTML script element.
 
-    The characters ``<`` and ``>`` are escaped, so that no text can end the element.
+    The characters ``<`` and ``>`` are escaped, so that no text can end the element. Raises
+    ValueError for NaN and infinity.
     """
     return json.dumps(value, allow_nan=False).replace("<", "\\u003c").replace(">", "\\u003e")

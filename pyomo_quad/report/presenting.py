@@ -145,6 +145,11 @@ def picture_of_plan(plan: "Plan", what: str) -> DrawnFigure:
         Planned flight.
     what : str
         Name of the figure or of the column.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no figure and no column of this name.
     """
     return _picture(lambda: drawings_of_solve(plan), plan, what)
 
@@ -158,6 +163,11 @@ def picture_of_run(result: "RunResult", what: str) -> DrawnFigure:
         A plan with the baseline flights it is compared with.
     what : str
         Name of the figure or of the column.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no figure and no column of this name.
     """
     return _picture(lambda: drawings_of_run(result), result.plan, what)
 
@@ -181,6 +191,13 @@ def report_plan(plan: "Plan", folder: str | Path, figures: str) -> Path:
         earlier report.
     figures : str
         Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
+
+    Raises
+    ------
+    ScenarioError
+        If `figures` has another value.
+    OutputError
+        If the folder cannot be written, or holds files that this package did not write.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:
@@ -201,6 +218,13 @@ def report_run(result: "RunResult", folder: str | Path, figures: str) -> Path:
         earlier report.
     figures : str
         Formats of the figures: "svg", "png", "all" or "none", the values of `Figures`.
+
+    Raises
+    ------
+    ScenarioError
+        If `figures` has another value.
+    OutputError
+        If the folder cannot be written, or holds files that this package did not write.
     """
     chosen = _figures(figures)
     with output_folder(folder) as aside:

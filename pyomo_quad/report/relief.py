@@ -57,7 +57,8 @@ def draw_relief(axes: Axes, ground: TerrainGrid | None, directions: tuple[int, i
 def draw_heights(flights: Sequence[StyledFlight], airspace: Airspace) -> Figure:
     """Draw the height of flights over path length, with the ground below the first flight.
 
-    Dashed lines show the least and the greatest permitted height above the ground.
+    The ground is drawn as the smooth surface from which the floor is measured. Dashed lines show
+    the least and the greatest permitted height above the ground.
 
     Parameters
     ----------

@@ -114,7 +114,7 @@ _LINE_START = re.compile(r"^([-+](?=\s|$)|-{3,}$|\d+(?=[.)](?:\s|$)))")
 
 
 def escape_markdown(text: str) -> str:
-    """Escape a text for Markdown and HTML, with line breaks as spaces.
+    """Escape a text for Markdown and HTML, with each run of white space as one space.
 
     Invisible characters are replaced by Python escapes, and web addresses do not become links.
     """

@@ -89,7 +89,8 @@ def write_solve_report(
     """Write the report of a plan: trajectory table, figures, text, and the plan file.
 
     The text states the plan's status (see `PlanStatus`). If the status is neither `VERIFIED` nor
-    `USABLE`, the title begins with it.
+    `USABLE`, the title begins with it. The caller writes `summary.json` (see
+    `report.tables.plan_summary`).
 
     Parameters
     ----------
@@ -119,6 +120,9 @@ def write_solve_report(
 
 def write_run_report(folder: Path, result: "RunResult", figures: Figures = Figures.SVG) -> None:
     """Write the report of a run: tables, figures, `report.md` and `report.html`.
+
+    If the run has baseline flights, `comparison.md` is written, too. The caller writes
+    `summary.json` (see `run_summary`).
 
     Parameters
     ----------
@@ -186,7 +190,7 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     A run is ignored in these cases:
 
     - The plan was not verified.
-    - The package or its dependencies had other versions.
+    - Python, the package or its dependencies had other versions.
     - The scenario uses a user's own model.
 
     Parameters
@@ -199,8 +203,8 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     Returns
     -------
     RunRecord or None
-        Results of the earlier run. None if the folder holds no run of the scenario, or if the run
-        is ignored.
+        Results of the earlier run. None if the folder holds no readable run of the scenario, or if
+        the run is ignored.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -242,6 +246,8 @@ def write_compare_report(
     folder: Path, comparison: "pd.DataFrame", *, is_good: bool, figures: Figures = Figures.SVG
 ) -> None:
     """Write the comparison of the flights of several scenarios: table, figure, text and page.
+
+    If the comparison has no rows, only the table is written.
 
     Parameters
     ----------
@@ -361,6 +367,8 @@ def _free_climb(plan: "Plan") -> FreeClimb | None:
 def climb_of(scenario: "Scenario") -> tuple[float, float]:
     """Return the height that a mission climbs [m] and the potential energy it adds [J].
 
+    Both are negative if the goal is below the start.
+
     Parameters
     ----------
     scenario : Scenario
@@ -380,7 +388,7 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
     """Return a text that describes the horizontal wind along the trajectory of a plan.
 
     The text states the mean wind vector, and the least and the greatest speed. It is empty in calm
-    air.
+    air, or if the table has no columns of the wind.
 
     Parameters
     ----------
@@ -410,8 +418,8 @@ def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, f
     dict
         Values by key:
 
-        - `path_m`: path length [m]. It is 0 if the plan's controls were not simulated, for example
-          because the solve failed.
+        - `path_m`: path length [m]. It is 0 for a path of at most 0.1 m (hovering). It is also 0 if
+          the plan's controls were not simulated, for example because the solve failed.
         - `battery_percent`: charge used [percent]. It is None if the plan's controls were not
           simulated, or if the table has no column of the charge.
         - `charge_minutes`: flight time on a full charge [minutes]. The key is absent if

@@ -193,7 +193,10 @@ def save_figure(
 
 
 def _drawn(draw: Callable[[], Figure]) -> Figure:
-    """Draw a figure with the function `draw`, prepare it for fast saving, and return it."""
+    """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
+
+    Empty axis labels get a constant position. A text that is set later is misplaced.
+    """
     figure = draw()
     for axes in figure.axes:
         for axis in (axes.xaxis, axes.yaxis):
@@ -408,8 +411,8 @@ class StyledFlight:
     duration_s : float
         Duration of the flight.
     energy_J : float
-        Energy of the flight, including the estimated energy that it still needs to reach the exact
-        goal state.
+        Energy of the flight. It includes the estimated energy to the exact goal state, if the
+        flight arrived and the estimate is known (see `settled_energy`).
     style : LineStyle
         Colour, dashes and marker.
     """
@@ -459,6 +462,9 @@ def styled_flights(flights: Sequence["Flight"]) -> tuple[StyledFlight, ...]:
 def flight_of_table(name: str, frame: pd.DataFrame) -> StyledFlight:
     """Make a flight for figures from its table alone, such as a table that was read from a file.
 
+    The energy is the last value of the energy column. All flights whose name the program does not
+    know get the same style.
+
     Parameters
     ----------
     name : str
@@ -483,7 +489,7 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 
 
 def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
-    """Return whether flights have equal durations, apart from rounding errors.
+    """Return whether flights have equal durations, up to the relative tolerance `SAME_TIME`.
 
     Only then can their energies above hovering be compared. The energy above hovering is a flight's
     energy less the energy of hovering for the same time.

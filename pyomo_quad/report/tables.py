@@ -1,6 +1,6 @@
 """CSV tables and JSON summaries of reports: writing and reading.
 
-Equal results give files with the same bytes.
+Equal tables or summaries give files with the same bytes. Summaries contain wall times.
 """
 
 import csv
@@ -48,6 +48,8 @@ Table: TypeAlias = "pd.DataFrame | Mapping[str, Iterable[object]]"
 
 def write_table(table: Table, path: Path) -> None:
     """Write a table to a CSV file, numbers with twelve significant digits, NaN as empty cells.
+
+    Texts that a spreadsheet would take for formulas get an apostrophe (see `neutral_cell`).
 
     Parameters
     ----------
@@ -123,6 +125,9 @@ _STATUS_COLUMN = "status"
 def plan_table(plan: "Plan", rate_hz: float | None = None) -> dict[str, Iterable[object]]:
     """Return the trajectory table of a plan as columns by name.
 
+    If the plan's controls were not simulated, as after a failed solve, a last column `status` holds
+    the plan's status.
+
     Parameters
     ----------
     plan : Plan
@@ -161,8 +166,8 @@ def plan_summary(
     plan : Plan
         The plan, which may be the best iterate of a failed solve.
     wall_s : mapping
-        Wall times [s] of phases such as import and report, by name. The wall times of building,
-        solving and verifying the plan are taken from `plan.timings` and need not be given.
+        Wall times [s] of the phases "import" and "report". The wall times of building, compiling,
+        solving and verifying the plan are taken from `plan.timings`. Other names are ignored.
     warnings : sequence of str, optional
         Cautions to record.
     """
@@ -214,8 +219,8 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
     result : RunResult
         A plan with the baseline flights it is compared with.
     wall_s : mapping
-        Wall times [s] of further phases, such as the report, by name. The wall times of planning,
-        of the flights and of the lower bound are taken from `result.timings` and need not be given.
+        Wall times [s] of the phases "import" and "report". Other names are ignored. The wall times
+        of planning, flights, lower bound and energy-time front are taken from `result`.
     """
     from pyomo_quad.study.ensemble import ensemble_summary  # noqa: PLC0415  as below
     from pyomo_quad.study.headline import headline_of  # noqa: PLC0415  a solve has none
@@ -254,12 +259,18 @@ def run_summary(result: "RunResult", *, wall_s: Mapping[str, float]) -> dict[str
 
 
 def summary_text(summary: Mapping[str, Any]) -> str:
-    """Return the summary of a report as indented JSON text."""
+    """Return the summary of a report as indented JSON text.
+
+    Raises ValueError if a number is NaN or infinite.
+    """
     return json.dumps(summary, indent=2, allow_nan=False, ensure_ascii=False) + "\n"
 
 
 def write_summary(folder: Path, summary: Mapping[str, Any]) -> None:
-    """Write the summary of a report as `summary.json` into a folder."""
+    """Write the summary of a report as `summary.json` into a folder.
+
+    Raises ValueError if a number is NaN or infinite.
+    """
     (folder / SUMMARY_NAME).write_text(summary_text(summary), encoding="utf-8")
 
 
@@ -292,7 +303,10 @@ def _number(value: float | None) -> float | None:
 
 
 def installed_versions() -> dict[str, str]:
-    """Return the versions of Python, this package and the packages that may affect results."""
+    """Return the versions of Python, this package and the packages that may affect results.
+
+    The version of a package that is not installed is "unknown".
+    """
     found = {name: _version(names) for name, names in _DISTRIBUTIONS.items()}
     return {"pyomo_quad": __version__, "python": platform.python_version(), **found}
 
@@ -326,7 +340,7 @@ def read_report(folder: Path, table: str = PLAN_NAME) -> tuple[dict[str, Any], "
     Returns
     -------
     dict
-        Content of `summary.json`, not validated.
+        Content of `summary.json`, not validated; empty if it is not a JSON object.
     DataFrame
         Trajectory table. Its columns are the time and all other columns of the file that are in
         `ALL_COLUMNS`, the list of all columns that a flight's table can have. The time increases
@@ -371,7 +385,7 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
     Raises
     ------
     ScenarioError
-        If the file of the front is too large or damaged.
+        If the file of the front cannot be read, is too large or damaged.
     """
     import pandas as pd  # noqa: PLC0415  see `write_table`
 

@@ -39,9 +39,9 @@ class Figures:
         least energy, and the difference between the simulated energy and the plan's energy. Mesh
         refinement stops when the collocation error of the states is at most this tolerance.
     miss : float
-        Largest deviation of the simulated final state from the mission's goal, and of the simulated
-        position from each waypoint. The simulation has no feedback. The deviation of each state x,
-        in the state's unit (m, m/s or rad), is divided by max(abs(x), 1).
+        Largest deviation of the simulated final state from the mission's goal. The simulation has
+        no feedback. The deviation of each state x, in the state's unit (m, m/s or rad), is divided
+        by max(abs(x), 1). At a waypoint, it is the distance [m] outside the waypoint's radius.
     breach : float
         Largest relative violation of a limit between collocation points: the violation divided by
         max(abs(limit), 1).

@@ -303,7 +303,9 @@ class KeepOut(Part):
         """
         import numpy as np  # noqa: PLC0415  see `Ball.coordinates`
 
-        corners = self.corners or ()
+        given = self.corners or ()
+        # A corner that is given twice in a row is no edge.
+        corners = tuple(one for k, one in enumerate(given) if one != given[k - 1])
         turns = turns_of(corners)
         edges = KeepIn(corners=corners).edges
         extent = max(map(abs, turns), default=0.0)
@@ -373,6 +375,8 @@ class KeepIn(Part):
 
     def depth(self, places: "ArrayLike") -> "FloatArray":
         """Return the distance of places to the nearest edge of the fence [m], negative outside.
+
+        Outside, the magnitude is at most the distance from the fence.
 
         Parameters
         ----------
@@ -550,7 +554,7 @@ class Airspace(Part):
         return np.asarray(held[..., 2] - self.ground.surface(side).at(held))
 
     def distance_to_height_limits(self, places: "ArrayLike") -> "FloatArray":
-        """Return the distance of places to the nearer height limit [m], negative outside.
+        """Return the vertical distance of places to the nearer height limit [m], negative outside.
 
         The height limits are the floor (least allowed height) and the ceiling (greatest allowed
         height).

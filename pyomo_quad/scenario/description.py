@@ -91,7 +91,7 @@ def field_unit(path: str) -> str:
     Returns
     -------
     str
-        SI unit; empty if the field has none.
+        SI unit; empty if the field has none or does not exist.
 
     Examples
     --------

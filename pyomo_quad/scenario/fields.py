@@ -290,7 +290,8 @@ def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     """Return the initial value of a field, or None if the field has no initial value.
 
     If a user's scenario file omits the field, the field gets the initial value. If a scenario that
-    the package has stored omits it, the field gets its default instead (see `quantity`).
+    the package has stored omits it, the field gets its default instead (see `quantity`). Initial
+    values 0, False and "" also give None.
 
     Parameters
     ----------
@@ -460,7 +461,7 @@ def merge(lower: Mapping[str, Any], upper: Mapping[str, Any]) -> dict[str, Any]:
     Returns
     -------
     dict
-        The merged table, a new object.
+        The merged table, a new object. Values that are not merged are not copied.
     """
     merged = dict(lower)
     for key, value in upper.items():

@@ -31,7 +31,8 @@ _Ring = list[tuple[float, float]]
 def in_convex_parts(airspace: Mapping[str, Any]) -> dict[str, Any]:
     """Return a scenario's table `airspace` with concave polygons divided into convex parts.
 
-    Invalid polygons are kept as they are. The validation of the scenario rejects them later.
+    A concave fence becomes its convex hull, with keep-out zones outside the fence. Invalid polygons
+    are kept as they are. The validation of the scenario rejects them later.
 
     Parameters
     ----------
@@ -72,8 +73,8 @@ def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
 def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and see `is_convex`
     """Convert corners as written in a scenario file to a shapely polygon.
 
-    The result is None if the corners are not pairs of numbers, or if the outline crosses itself or
-    encloses no area.
+    The result is None if there are fewer than three corners, or a corner is not a pair of numbers
+    below 1e9. It is also None if the outline crosses itself or encloses no area.
     """
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
@@ -171,8 +172,8 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     ----------
     file : Path
         A FeatureCollection of polygons with longitudes and latitudes on WGS 84. Each feature has
-        the property `top` (or `height`), and may have the properties `bottom` (or `min_height`) and
-        `name`. Top and bottom are in m above the origin.
+        the property `top` (or `height`), and may have the properties `bottom` (or `min_height`; by
+        default 0) and `name`. Top and bottom are in m above the origin.
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin or None
@@ -219,7 +220,11 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
 
 
 def _as_name(text: str) -> str:
-    """Convert a text to a valid zone name; characters not allowed in names become underscores."""
+    """Convert a text to a valid zone name of at most 40 characters.
+
+    Characters that are not allowed in names become underscores. Different texts may give the same
+    name.
+    """
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "_.-") else "_" for c in text)
     return kept[:40] if kept[0].isalnum() else f"zone{kept[:36]}"
 

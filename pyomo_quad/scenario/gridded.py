@@ -109,6 +109,9 @@ class Gridded(NamedTuple):
 def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
     """Read a quantity on a rectilinear grid from a file.
 
+    An axis of height or time with a single point is left out. Grid points without a value hold NaN.
+    In NetCDF, times given as dates count from the first date in the file.
+
     Parameters
     ----------
     file : Path
@@ -148,14 +151,16 @@ def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Grid
     """Convert the axes of gridded data to metres from the mission's origin.
 
     Longitudes are converted at the grid's middle latitude, and latitudes at its middle longitude.
-    Raises a ScenarioError if the grid spans too much of the earth.
+    Raises a ScenarioError if the grid spans too much of the earth, or has impossible angles. It
+    also raises the error if only one horizontal axis is in degrees.
 
     Parameters
     ----------
     field : Gridded
         Data as read from the file.
     origin : GeodeticOrigin or None
-        Position of x = y = z = 0 on earth.
+        Position of x = y = z = 0 on earth, required for axes in degrees. With None, altitudes above
+        the sea stay unchanged.
     place : str
         Beginning of error messages: the scenario field that names the file.
     """

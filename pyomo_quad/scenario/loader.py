@@ -38,7 +38,8 @@ def load_scenario(
     Parameters
     ----------
     path : str, Path or mapping
-        A scenario file (TOML), or nested mappings with the same content.
+        A scenario file (TOML), or nested mappings with the same content. Relative file names in it
+        refer to the folder of the file, or for mappings to the working folder.
     overrides : sequence of str or mapping, optional
         Changed fields: a mapping from dotted path to value, or texts ``PATH=VALUE`` with a TOML
         value, as for the command-line option `--set`.
@@ -142,6 +143,8 @@ def with_overrides(scenario: Scenario, overrides: Sequence[str]) -> Scenario:
     ------
     ScenarioError
         If a field is unknown or a value is invalid.
+    FeasibilityError
+        If the rotors cannot lift the changed vehicle.
     """
     parsed = _parsed(overrides)
     return scenario.with_values({spell(p): v for p, v in parsed.items()}) if parsed else scenario
@@ -166,7 +169,8 @@ def parse_overrides(overrides: Sequence[str]) -> dict[str, Any]:
     Parameters
     ----------
     overrides : sequence of str
-        Texts ``PATH=VALUE`` with a TOML value.
+        Texts ``PATH=VALUE`` with a TOML value or a single word without quotes. If a path occurs
+        several times, the last value counts.
 
     Returns
     -------

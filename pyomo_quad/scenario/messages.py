@@ -143,7 +143,10 @@ def words_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 
 
 def shown(value: object) -> str:
-    """Format a value for a message: as in TOML, on one line, shortened to about 60 characters."""
+    """Format a value for a message: as in TOML, on one line, shortened to about 60 characters.
+
+    A table becomes "a table".
+    """
     if isinstance(value, Mapping):
         return "a table"
     if isinstance(value, bool):
@@ -160,6 +163,8 @@ def printable(text: str) -> str:
 
 def field_paths(model: type[BaseModel], prefix: FieldPath = ()) -> Iterator[FieldPath]:
     """Yield the paths of all fields of a table, including the fields of nested tables.
+
+    For a list of tables, the paths have the list index 0.
 
     Parameters
     ----------
@@ -328,7 +333,7 @@ class PyomoQuadError(Exception):
 
 
 class ScenarioError(PyomoQuadError, ValueError):
-    """Error: a scenario, or a file to which the scenario refers, has an invalid value."""
+    """Error: an input of the user is invalid, such as a scenario, data file, report or option."""
 
 
 class FeasibilityError(PyomoQuadError, ValueError):

@@ -330,7 +330,10 @@ class Mission(Part):
 
     @property
     def duration_limits(self) -> tuple[float, float]:
-        """Least and greatest allowed duration [s], which are equal if the duration is fixed."""
+        """Least and greatest allowed duration [s], which are equal if the duration is fixed.
+
+        The limits of a free duration are by default 0.001 s and 86400 s.
+        """
         if not isinstance(self.duration, str):
             return self.duration, self.duration
         return (

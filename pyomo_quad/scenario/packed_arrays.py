@@ -14,7 +14,7 @@ def packed(values: "FloatArray") -> str:
 
 
 def unpacked(text: str) -> "FloatArray":
-    """Decode a text that the function `packed` made, to a one-dimensional array in C order."""
+    """Decode a text that `packed` made, to a read-only one-dimensional array in C order."""
     import numpy as np  # noqa: PLC0415  reading a scenario does without it
 
     return np.frombuffer(decompress(b64decode(text)), dtype="<f8")

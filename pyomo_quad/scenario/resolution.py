@@ -490,7 +490,8 @@ class Resolution:
     complaints : tuple of str
         An error message for each value that could not be determined.
     unfilled : tuple
-        Paths of the tables and fields that are incomplete because of an error.
+        Paths of the tables and fields that are incomplete because of an error. The paths of derived
+        limits, such as `limits.thrust_max`, are always among them.
     """
 
     tables: Mapping[str, Any]
@@ -520,8 +521,9 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     Raises
     ------
     ScenarioError
-        If an override refers to a list item that does not exist, or if a geographic position or a
-        terrain file is invalid.
+        If an override refers to a list item that does not exist. Also if a geographic position, a
+        wind direction `from`, a zone file or a terrain file is invalid. Other errors are in the
+        result's attribute `complaints`.
     """
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
@@ -656,7 +658,8 @@ class _Filled:
         """Add the values of the library entry that a table of the scenario names by its key `use`.
 
         The key may also name a user's own file. Without the key, a default entry is added. For a
-        battery, this is the pack of the vehicle's entry.
+        battery, this is the pack of the vehicle's entry. In a stored scenario, an entry is added
+        only if an override sets the key.
 
         Parameters
         ----------

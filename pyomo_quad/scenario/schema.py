@@ -168,7 +168,8 @@ class Scenario(Part):
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy of the scenario with some fields changed.
 
-        Limits and other values that depend on a changed field are computed again.
+        Limits and other values that depend on a changed field are computed again. Exception: a
+        scenario that was read from a report or a plan file keeps its limits.
 
         Parameters
         ----------
@@ -240,7 +241,7 @@ class Scenario(Part):
         """Return the scenario with a fixed duration and, optionally, passing times of waypoints.
 
         The copy has no limits on the duration and no price of time, because both apply only to a
-        free duration.
+        free duration. The aim of least time becomes least energy. The values are not validated.
 
         Parameters
         ----------
@@ -266,7 +267,8 @@ class Scenario(Part):
         """Return a copy of the scenario with other settings of the baseline flight `cruise`.
 
         The flight `cruise` imitates the flight of an autopilot. A plan is compared with this
-        flight.
+        flight. A later call of `with_values` or `replace` on the copy may undo the change. Both
+        begin with the scenario as written in its file.
 
         Parameters
         ----------
@@ -305,7 +307,8 @@ class Scenario(Part):
         """Prescribed or estimated times of the waypoints, and the end time of the flight [s].
 
         The tuple holds arrival and departure of each waypoint, then the end time. The estimated
-        time of a leg (flight from one place to the next) is twice its least time.
+        time of a leg (flight from one place to the next) is twice its least time. Then the times
+        are scaled to meet prescribed times and limits on the duration.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -364,7 +367,9 @@ class Scenario(Part):
     def as_forecast(self) -> Self:
         """Return the scenario with the forecast in place of the actual wind.
 
-        The planner uses this scenario if it must not know the actual wind.
+        The planner uses this scenario if it must not know the actual wind. A later call of
+        `with_values` or `replace` on the copy may undo the change. Both begin with the scenario as
+        written in its file.
 
         Returns
         -------
@@ -376,7 +381,11 @@ class Scenario(Part):
         return self.model_copy(update={"wind": self.wind.forecast})
 
     def as_it_blows(self) -> Self:
-        """Return the scenario without its forecast, so that the planner uses the actual wind."""
+        """Return a copy without the forecast, so that the planner uses the actual wind.
+
+        A later call of `with_values` or `replace` on the copy may undo the change. Both begin with
+        the scenario as written in its file.
+        """
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
     @property

@@ -98,7 +98,8 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     Returns
     -------
     Surface
-        A cubic spline, with an upper bound on its vertical distance from the ground.
+        A cubic spline, with an upper bound on its vertical distance from the ground. If an axis has
+        fewer than four points, the grid of the result is finer along this axis.
     """
     x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
     knots, coefficients = _through(x, y, side * ground)

@@ -5,7 +5,10 @@ from collections.abc import Mapping
 
 
 def inline(value: object) -> str:
-    """Return a value, which may be a table or list, as TOML text in one line."""
+    """Return a value, which may be a table or list, as TOML text in one line.
+
+    None, NaN, infinity and keys that need quotes are not supported: the text is then not TOML.
+    """
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {inline(held)}" for key, held in value.items()) + " }"
     if isinstance(value, list):

@@ -76,7 +76,7 @@ def paths_in_declared_units(
     Returns
     -------
     converted : dict
-        The new values in SI units, by the path of the field.
+        The new values in SI units, by the path of the field. Overrides with errors are left out.
     record : Rewritten
         Record of the conversions and errors. Its attribute `tables` is empty.
     """

@@ -225,8 +225,9 @@ class WindGrid(Part):
     def components(self) -> "FloatArray":
         """Wind velocity at the grid points [m/s]; NaN where the wind is missing.
 
-        The first array axis is the direction (+x, +y and, if known, +z); the further array axes are
-        the grid's axes, in the order of `axes`.
+        The values are not yet multiplied by the factor `wind.field_scale`. The first array axis is
+        the direction (+x, +y and, if known, +z); the further array axes are the grid's axes, in the
+        order of `axes`.
         """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
@@ -507,7 +508,8 @@ def with_air_density(
     Returns
     -------
     dict
-        The tables with scaled coefficients, and with the air density as a field of the power model.
+        The tables with scaled coefficients, and with the air density in `power.air_density`. A
+        density that the user gives there for a new scenario is kept.
     """
     density, held_at = _density(tables), _density(before or {})
     if density == held_at:

@@ -64,8 +64,8 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has no rectilinear grid, or has no wind. The message of the
-        error is a single line.
+        If the file cannot be read, or has no rectilinear grid, no wind or an implausibly strong
+        wind. The message of the error is a single line.
     """
     axes, components, *_ = in_metres(read_gridded(file, place, _WIND), origin, place)
     check_axes(axes, place)

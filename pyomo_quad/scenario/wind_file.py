@@ -57,8 +57,8 @@ def read_wind_file(
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has unsorted, missing or non-finite numbers, has a gap in time,
-        or does not cover the mission.
+        If the file cannot be read, has unsorted, missing, non-finite or implausible numbers, has a
+        gap in time, or does not cover the mission.
     """
     place = f"{where} = {shown(file.name)}"
     keys, rows = _read_rows(file, place)

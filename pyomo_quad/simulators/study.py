@@ -84,7 +84,8 @@ Track = tuple[np.ndarray, np.ndarray]
 class Plant(StrEnum):
     """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
 
-    `ROTORPY` is RotorPy's simulation with the equations of the package's model (`DECLARED`).
+    `ROTORPY` is RotorPy's simulation with the equations of the package's model (`DECLARED`). Two
+    parts differ: its attitude equations are always exact, and its linear drag acts at the rotors.
     `AS_IT_COMES` has RotorPy's defaults. Each other member differs from `ROTORPY` in the feature
     that its value names.
     """
@@ -172,6 +173,7 @@ class OutsideStudy:
     tracks : mapping
         Distance from the plan over time, for each flight that follows a plan: an array of times [s]
         and an array of distances [m]. The key is the triple of mission, vehicle and controller.
+        Flights that went out of control are left out.
     lag_s : float
         Time constant of the motors in RotorPy, for the vehicle of Yacef et al. [s].
     """
@@ -203,6 +205,11 @@ class OutsideStudy:
         -------
         dict
             Values of the row by column name.
+
+        Raises
+        ------
+        IndexError
+            If the table has no such flight.
         """
         is_it = (self.flights[_IDENTITY] == [case, plant, controller, followed]).all(axis=1)
         return {str(name): value for name, value in self.flights[is_it].iloc[0].items()}
@@ -221,7 +228,7 @@ class Arrivals(NamedTuple):
     confirmed : int
         Number of all confirmed flights, with or without arrival.
     unconfirmed : int
-        Number of flights that are not confirmed.
+        Number of flights that are not confirmed, including those that went out of control.
     """
 
     arrived: int
@@ -399,6 +406,11 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
     ----------
     planner : Planner, optional
         Planner of the missions; by default a new one.
+
+    Raises
+    ------
+    ScenarioError
+        If RotorPy is not installed.
     """
     planner = planner or Planner()
     paper = load_scenario(shipped_scenarios()["paper"])
@@ -437,7 +449,8 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
-    All settings that do not belong to the vehicle or to this mission are those of `paper`.
+    The attitude equations are exact, and the tolerance of the solver is 1e-3. All other settings
+    that do not belong to the vehicle or to this mission are those of `paper`.
 
     Parameters
     ----------
@@ -510,7 +523,8 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    Only the acceleration differs: a - F / m, where a is that of `path`, F the force and m the mass.
+    The acceleration is a - F / m, where a is that of `path`, m the mass, and F the force on the
+    level vehicle at the velocity of `path`. The rates of roll and pitch (`tilting`) are left out.
 
     Parameters
     ----------

@@ -59,6 +59,11 @@ def vehicle_fields(name: str) -> dict[str, Said]:
     dict
         Value and source of each field. The key is the field's dotted path in the vehicle file, such
         as "fields.mass" or "limits.rotor_speed_max".
+
+    Raises
+    ------
+    ScenarioError
+        If RotorPy is not installed or has no set of this name.
     """
     held = rotorpy_parameters(name)
     x, y, _ = held["rotor_pos"]["r1"]
@@ -104,6 +109,11 @@ def vehicle_file(name: str) -> str:
     ----------
     name : str
         Name of the set: "hummingbird" or "crazyflie".
+
+    Raises
+    ------
+    ScenarioError
+        If RotorPy is not installed or has no set of this name.
     """
     lines = [
         f"# {MARK}: the {name} of RotorPy. RotorPy has no motor constants and no",

@@ -78,8 +78,8 @@ def energy_and_charge(
 
         - The given plan is not verified (confirmed by simulation to the requested accuracy).
         - The objective of the given plan is the least time.
-        - The solve for the other objective fails, or ends at a local optimum that is worse in that
-          objective than the given plan.
+        - The solve for the other objective fails, is stopped by `progress`, or ends at a local
+          optimum that is worse in that objective than the given plan.
         - The vehicle model is a user's own.
         - The attitude equations are those of Yacef et al. (`vehicle.attitude` is "paper").
     """

@@ -86,7 +86,9 @@ class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
     The flight is simulated at reduced accuracy. It has arrived if it ends near the goal and nearly
-    at rest.
+    at rest. Without arrival, `duration_s` is the whole simulated time. `reached` holds values of
+    the reference trajectory. `energy_J` lacks the energy to the exact goal state if the flight does
+    not arrive, no plan is given, or the scenario has a wind forecast.
     """
 
     settings: CruiseSettings
@@ -153,6 +155,13 @@ def fly_cruise(
     -------
     Flight
         The simulated flight under the controller.
+
+    Raises
+    ------
+    ScenarioError
+        If keep-out zones block the route to a waypoint, or all places of the mission are equal.
+    SolveError
+        If the flight gets out of control.
     """
     longest, dynamics = _with_longest_wait(scenario, settings, planner)
     flown = fly_reference(longest, Reference.CRUISE, dynamics=dynamics).flown
@@ -233,6 +242,9 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
     """Tune speed, acceleration and jerk of an autopilot for least energy, and fly the result.
 
+    The search simulates at reduced accuracy. Of its four best settings, the result is the first
+    that arrives within the limits at full accuracy.
+
     Parameters
     ----------
     scenario : Scenario
@@ -252,8 +264,10 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
     Raises
     ------
     ScenarioError
-        If keep-out zones block the route to a waypoint, or if every flight of the search breaks a
-        limit or misses the goal.
+        If keep-out zones block the route to a waypoint, if all places of the mission are equal, or
+        if each flight with the four best settings breaks a limit or misses the goal.
+    SolveError
+        If a flight at full accuracy gets out of control.
     """
     tried = _search(scenario, plan, planner)
     for one in sorted(tried, key=lambda one: one.cost_J)[:_CONFIRMED]:

@@ -4,8 +4,8 @@ On one charge, each flight starts with the state of charge, relaxation voltage a
 the battery has at the end of the flight before it. The battery neither rests between flights nor
 ages.
 
-The flights on one charge end when the next flight has no plan, because it would leave less charge
-than the reserve, or because the voltage would fall below its limit.
+The flights on one charge end when the next flight has no plan. Examples of the reason: the flight
+would leave less charge than the reserve, or the voltage would fall below its limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -89,13 +89,15 @@ class Campaign(Summarised):
     Attributes
     ----------
     missions : tuple of Scenario
-        Missions, flown in this order, again and again.
+        Missions, flown in this order, again and again. The mission that had no plan on one charge
+        comes first on the next charge.
     charges : int
         Number of battery charges.
     flights : tuple of CampaignFlight
         All flights, in order.
     endings : tuple of str
-        For each battery charge, the reason in words why no further flight was possible.
+        For each battery charge, the reason in words why its flights ended: why the next flight had
+        no plan, or that the number of flights reached `MOST_FLIGHTS`.
     """
 
     missions: tuple[Scenario, ...]
@@ -140,7 +142,8 @@ def fly_campaign(
     ----------
     missions : sequence of Scenario
         Missions with the same battery, repeated in this order. On each new battery charge, the
-        first flight starts with the initial state of charge of the first mission.
+        first flight starts with the initial state of charge of the first mission. It flies the
+        mission that had no plan on the charge before.
     planners : sequence of Planner
         For each mission, a planner that solves it.
     charges : int, default 1

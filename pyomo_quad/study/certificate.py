@@ -630,8 +630,8 @@ def _has_places(
 ) -> bool:
     """Return whether the function `_bound_of_places` may be called for a mission.
 
-    The mission must be a single leg between exact points in the field. Winds must be horizontal and
-    differ; `standing` must be vertical.
+    The mission must be a single leg between exact points. Winds must be horizontal and differ, and
+    `wind.beyond` must not be "hold"; `standing` must be vertical.
 
     Parameters
     ----------

@@ -52,7 +52,8 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Finding
         A caution if the battery has too little charge or power for the mission. The solve is still
         possible, because the battery's equations stay finite for an empty battery. A finding of
-        severity "impossible" if every flight of the mission breaks a limit on the battery.
+        severity "impossible" if the lower bound on the energy, or the initial state of charge,
+        proves that every flight breaks a limit on the battery.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
     for line in battery_shortfalls(scenario, steady):
@@ -77,7 +78,7 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield a finding for each battery limit that every flight of the mission must break.
+    """Yield a finding for each battery limit that the energy `bound` makes every flight break.
 
     Parameters
     ----------
@@ -132,10 +133,12 @@ _SAVING = 1e-3
 
 
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
-    """Yield findings if the power model is outside its valid range at or near hover.
+    """Yield findings on the power model `efficiency`, and on the motor voltage in hover.
 
-    If hover needs more voltage than the battery gives, the finding is "impossible" with the power
-    models `motor` and `motor_with_friction`. With other models it is a caution.
+    The model has cautions if hover is outside its valid range, if braking returns energy, or if
+    alternating acceleration and braking saves power. If hover needs more voltage than the battery
+    gives, the finding is "impossible" with the power models `motor` and `motor_with_friction`. With
+    other models it is a caution.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -227,7 +230,8 @@ _MARGIN = 1e-3
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield findings if every flight of a mission exceeds a limit on its motion.
 
-    The limits are those on thrust, tilt, rotor speed and yaw moment.
+    The limits are those on rotor speed, rotor acceleration, thrust, tilt and yaw moment. Thrust and
+    tilt are not checked if the wind varies with place or the drag is not linear.
 
     Parameters
     ----------
@@ -335,8 +339,8 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    The result is infinite if no duration tried is long enough, or if the wind is a series of
-    measurements.
+    The duration of the mission must be too short: the search begins above it. The result is
+    infinite if no duration tried is long enough, or if the wind is a series of measurements.
 
     Parameters
     ----------
@@ -423,15 +427,18 @@ def check_mission(
 ) -> tuple[Finding, ...]:
     """Return findings on settings of a mission that are impossible or doubtful, without a solve.
 
+    The wind is the forecast, if the scenario has one. For a free duration, the limits on the motion
+    and the battery are not checked.
+
     Parameters
     ----------
     scenario : Scenario
         The mission.
     builder : callable, optional
-        Builds the Pyomo model. For a user's model, thrust, power and battery are not checked,
-        because the limits of its vehicle are unknown.
+        Builds the Pyomo model; ignored if `planner` is given. For a user's model, thrust, power and
+        battery are not checked, because the limits of its vehicle are unknown.
     planner : Planner, optional
-        Holds the compiled equations; by default a new planner.
+        Holds the compiled equations; by default a new planner with `builder`.
 
     Returns
     -------
@@ -579,7 +586,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
     """Yield a caution if a plan with simplified attitude equations in fact misses the goal.
 
     The equations of Yacef et al. (`vehicle.attitude` "paper") equate Euler rates and body rates.
-    This function simulates the plan's controls with the exact relation between them.
+    This function simulates the plan's controls with the exact relation between them. If the time
+    limit ends the simulation, the caution says so.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER

@@ -169,7 +169,8 @@ def compare_flights(
     Returns
     -------
     DataFrame
-        One row per flight, columns of `ComparisonColumn`; NaN where a value is undefined.
+        One row per flight, columns of `ComparisonColumn`; NaN where a value is undefined. If the
+        scenario sets `limits.reserve`, the column `RESERVE` is added.
 
     Notes
     -----

@@ -1,7 +1,9 @@
 """Many simulated flights of a mission in random winds: rate of success, energy, charge.
 
 A seed determines the winds. Flights along different reference trajectories, such as a plan and an
-autopilot's cruise, thus meet the same winds.
+autopilot's cruise, thus meet the same winds. If the scenario states deviations of mass or hover
+power, each flight also draws these. Without turbulence and without deviations of wind, mass or
+hover power, all flights are equal.
 """
 
 from collections import Counter
@@ -179,8 +181,8 @@ class Ensemble(Summarised):
     def table(self) -> "pd.DataFrame":
         """Return the results of the flights as a table with one row per flight.
 
-        The columns are the attributes of `Ending`, whether the flight succeeded, and the limits
-        that it broke.
+        The columns are the number of the flight, the attributes of `Ending`, whether the flight
+        succeeded ("held"), and the limits that it broke.
         """
         import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -254,8 +256,9 @@ def fly_cruise_often(
     """Simulate many flights of an autopilot, straight between waypoints, in random winds.
 
     With the same seed, the winds are those of `fly_plan_often`. At the goal, all flights wait for
-    the same time. It is the shortest with which at least the share `arriving` of the flights
-    arrives, or the one with most arrivals if none is long enough.
+    the same time. It is the shortest, to 0.1 s, with which at least the share `arriving` of the
+    flights arrives. If none of the times `SETTLINGS_S` is long enough, it is the one with most
+    arrivals.
 
     Parameters
     ----------
@@ -439,6 +442,9 @@ def fly_in_turbulence(
     plan: Plan, cruise: CruiseSettings | None, *, is_tuned: bool = False, planner: Planner
 ) -> InTurbulence | None:
     """Simulate the flights of a plan, and of an autopilot, in the same random winds.
+
+    The seed of the winds is fixed. The number of flights is 10,000 s over the plan's duration, but
+    at most 1000.
 
     Parameters
     ----------

@@ -47,8 +47,10 @@ def energy_time_front(
 ) -> "pd.DataFrame":
     """Return energy and duration of a free-duration mission for several prices of time.
 
-    The objective is energy + price of time [W] * duration. The mission is solved for each price on
-    the mesh of the plan, without refinement. Between mesh points the new flights may break limits.
+    The objective is energy + price of time [W] * duration. If the mission's objective is the least
+    charge, the charge times a voltage takes the place of the energy. The mission is solved for each
+    price on the mesh of the plan, without refinement. Between mesh points the new flights may break
+    limits.
 
     Parameters
     ----------
@@ -65,7 +67,8 @@ def energy_time_front(
         Columns of `FrontColumn`, one row for each flight, the shortest flight first. The price in
         the row of the plan is NaN if the plan's objective is the least time. The table has rows
         only if the plan's duration is free and simulation confirmed the plan to the requested
-        accuracy.
+        accuracy. A failed or stopped solve adds no row, nor does one with a duration that is
+        already in the table.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return FrontColumn.of_rows(())

@@ -38,8 +38,8 @@ class Headline:
     battery_percent : float or None
         Charge that the plan uses, in per cent of the capacity; None without a battery.
     rival : mapping or None
-        Row of the comparison table for the flight with which the plan is compared; None if no
-        other flight arrived within the limits.
+        Row of the comparison table for the flight with which the plan is compared, from `rival_of`;
+        None if no flight qualifies.
     settings : CruiseSettings or None
         Speed, acceleration and jerk of the tuned autopilot, if it is the rival.
     risk : RiskTaken or None
@@ -48,6 +48,9 @@ class Headline:
     often : InTurbulence or None
         Many simulated flights of the run in turbulence. If given, the headline uses them instead of
         the test flights in ``risk``.
+    is_compared : bool
+        Whether other flights can be compared with the plan: it arrives close to the goal, and keeps
+        all limits.
     """
 
     energy_J: float
@@ -57,6 +60,7 @@ class Headline:
     settings: "CruiseSettings | None"
     risk: "RiskTaken | None"
     often: "InTurbulence | None" = None
+    is_compared: bool = True
 
     @property
     def words(self) -> str:
@@ -100,6 +104,8 @@ class Headline:
 
     @property
     def _saving(self) -> str:
+        if not self.is_compared:
+            return "it ends too far from the goal, or breaks a limit, for a comparison"
         if self.rival is None:
             return "no other flight arrived within its limits to compare with"
         spent, duration = settled_of(self.rival), float(self.rival[ComparisonColumn.DURATION])
@@ -140,8 +146,8 @@ class Headline:
 def headline_of(result: "RunResult") -> Headline | None:
     """Return the headline of a run: its main results and their wording.
 
-    The result is None if the plan must not be flown (neither `VERIFIED` nor `USABLE`), or was made
-    for a wind forecast.
+    The result is None if the plan must not be flown (neither `VERIFIED` nor `USABLE`), if it was
+    made for a wind forecast, or if the comparison table is empty.
     """
     told_otherwise = result.scenario.wind.forecast is not None
     if result.comparison.empty or told_otherwise or not result.plan.is_flyable:
@@ -159,6 +165,9 @@ def headline_of(result: "RunResult") -> Headline | None:
         settings=None if tuning is None else tuning.settings,
         risk=result.plan.risk,
         often=result.often,
+        is_compared=all(
+            rows[OPTIMAL][one] for one in (ComparisonColumn.ARRIVED, ComparisonColumn.LIMITS_KEPT)
+        ),
     )
 
 

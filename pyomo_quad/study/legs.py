@@ -95,7 +95,8 @@ def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs of a mission, and the limits on the durations of groups of legs.
 
     A group has all legs between two successive fixed times: the start, given passing times, and the
-    end. A hover at a waypoint counts as a leg that forms its own group.
+    end. A hover at a waypoint counts as a leg that forms its own group. The waypoints keep the
+    scenario's order, even if `mission.order` leaves the order open.
 
     Returns
     -------
@@ -236,7 +237,8 @@ class Itinerary:
     def bound(self, price: FloatArray) -> float:
         """Return a lower bound on the energy for all allowed passing times and durations [J].
 
-        The bound is the largest that a search over the prices of velocity finds.
+        The bound is the largest that a search over the prices of velocity finds; -1e12 J if no
+        prices give a bound.
 
         Parameters
         ----------
@@ -267,7 +269,7 @@ class Itinerary:
         """Return the negative lower bound on the energy [J] and its gradient, for a minimiser.
 
         `flat` holds the prices of velocity [J per m/s] at the ends of the legs, three components
-        for each price.
+        for each price. If the prices give no bound, the result is 1e12 J with the gradient zero.
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
@@ -316,9 +318,10 @@ def _least_over_times(
     Returns
     -------
     float
-        The minimum [J]; minus infinity if an A_k is negative.
+        The minimum [J]. It is minus infinity if an A_k is negative, unless the group is a single
+        leg of fixed duration.
     ndarray, shape (n,)
-        The minimising T_k, s.
+        The minimising T_k, s; zero if the minimum is minus infinity.
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

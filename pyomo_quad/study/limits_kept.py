@@ -28,9 +28,9 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
-    The sentence names the broken limits and says whether the plan's risk covers the flight. The
-    risk applies only to flights under feedback that track the plan, or new plans for the true or
-    the estimated wind.
+    If no flight breaks a limit, a single sentence says so. Otherwise each sentence names the broken
+    limits and says whether the plan's risk covers the flight. The risk applies only to flights
+    under feedback that track the plan, or new plans for the true or the estimated wind.
 
     Parameters
     ----------

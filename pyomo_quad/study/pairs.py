@@ -132,7 +132,7 @@ class Pairs:
     scenario : Scenario
         Scenario whose limits on the rotor speed and on the speed of the vehicle bound the pairs.
     dynamics : Dynamics
-        Dynamics of the vehicle in the actual steady wind.
+        Dynamics of the vehicle in the actual steady wind; in still air if `winds` is given.
     standing : ndarray, shape (3,)
         Thrust that holds the vehicle still at zero airspeed, N.
     most_thrust : float
@@ -140,6 +140,14 @@ class Pairs:
     winds : ndarray, shape (n_winds, 3), optional
         Corners of a polyhedron that contains every wind of the mission, m/s; by default the steady
         wind of the dynamics.
+
+    Attributes
+    ----------
+    standing : ndarray, shape (3,)
+        As the parameter.
+    fastest : float
+        Upper limit on the airspeed, m/s. If it is infinite, no bound exists, and the searches over
+        the pairs must not be called.
     """
 
     def __init__(
@@ -400,6 +408,8 @@ class Pairs:
     def samples(self) -> FloatArray:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
+        Only pairs with 0.3 to 1.8 times the thrust that holds the vehicle still are included.
+
         The rows are thrust [N], force of the air along and across the thrust [N], power [W], and
         airspeed along and across the thrust [m/s].
         """
@@ -530,7 +540,8 @@ class Pairs:
         numbers : ndarray, shape (4, n)
             Each column has the four numbers of one set of prices, from the method `numbers`.
         sampled : ndarray, shape (n,)
-            For each set, the value of H at some pair [W]. The search starts from this value.
+            For each set, the value of H at some pair without these terms [W]. The search starts
+            from this value.
         tolerance : float
             Accuracy of the bounds [W].
         """
@@ -572,16 +583,17 @@ class Pairs:
         numbers : ndarray, shape (4, n)
             For each box, the four numbers of the prices, from the method `numbers`.
         enough : ndarray, shape (n,)
-            One value for each box [W]. The box is excluded if H is at least this value in the whole
-            box.
+            One value for each box [W]. The box is excluded if the lower bound on H, without the
+            terms of `_constant`, is at least this value.
 
         Returns
         -------
         ndarray of bool, shape (n,)
             Whether a box may contain such a pair (True), or is excluded (False).
         ndarray of bool, shape (n_kept,)
-            For each of the n_kept boxes that may contain such a pair: whether rotors with equal
-            thrusts take the least power for all pairs in the box.
+            For each of the n_kept boxes that may contain such a pair: True if rotors with equal
+            thrusts are proven to take the least power for all pairs in the box; False if not
+            proven.
         """
         # Without the slopes that `_box` bounds, the enclosure is much faster.
         given = np.vstack([numbers, np.zeros(low.shape[1])])
@@ -610,15 +622,16 @@ class Pairs:
         numbers : ndarray, shape (4, n)
             For each box, the four numbers of the prices, from the method `numbers`.
         is_alike : ndarray of bool, shape (n,)
-            Whether rotors with equal thrusts take the least power for all pairs in the box.
+            Whether rotors with equal thrusts are proven to take the least power for all pairs in
+            the box.
 
         Returns
         -------
         under : ndarray, shape (n,)
-            Lower bound of H in each box [W].
+            Lower bound of H, without the terms of `_constant`, in each box [W].
         reached : ndarray, shape (n,)
-            H at one pair in each box [W], an upper bound on the least H; infinite if the thrust of
-            the pair exceeds the largest thrust.
+            H at one pair in each box, without these terms [W]; infinite if the thrust of the pair
+            exceeds the largest thrust.
         split : ndarray of int, shape (n,)
             Index of the coordinate along which to halve each box.
         """
@@ -654,7 +667,8 @@ def _halved(
 def wind_of(dynamics: Dynamics, times: FloatArray) -> FloatArray:
     """Return the wind at n given times in world axes [m/s], shape (n, 3).
 
-    `times` has the n times [s]. Components that the model of the wind lacks are zero.
+    `times` has the n times [s]. If the wind varies with place, the result is that at the origin.
+    Components that the model of the wind lacks are zero.
     """
     names = ("velocity_x", "velocity_y", "velocity_z")
     keys = tuple((f"wind.{n}", None) for n in names if dynamics.has(f"wind.{n}"))
@@ -827,8 +841,9 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        No prices can prove a bound above the optimal value, up to a tolerance. The method `prices`
-        converts the unknowns into prices.
+        If the ends of the legs have no slack, no prices within the program's limits can prove a
+        bound above the optimal value, up to a tolerance. The method `prices` converts the unknowns
+        into prices.
         """
         # Pairs that are not known yet could only lower the optimal value.
         limits = np.full((self.size, 2), [-inf, inf])

@@ -329,8 +329,8 @@ class Places:
     def rise(self, gradients: FloatArray) -> float:
         """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        The tolerances of the linear program's solver are deducted, so that a bound stays valid.
-        Implements docs/theory/bound.md, eq. (27).
+        The tolerances of the linear program's solver are deducted, so that a bound stays valid. If
+        the solver fails, the result is 0. Implements docs/theory/bound.md, eq. (27).
 
         Parameters
         ----------

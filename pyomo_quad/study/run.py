@@ -61,18 +61,13 @@ class RunResult(Summarised):
         Lower bound on the energy of the mission in the actual wind.
     adaptation : DataFrame or None
         Effect of the controller's adaptation to the actual wind, see `comparison.adaptation_study`;
-        None in calm air.
+        None in calm air, or if the plan or one of the two flights could not be simulated.
     front : DataFrame
         Energy-time front: least energy against duration, see `study.front`; empty if the mission
-        fixes its duration.
+        fixes its duration, or if simulation did not confirm the plan to the requested accuracy.
     aims : DataFrame
         Comparison of the plans of least energy and of least battery charge, from the function
-        `study.aims.energy_and_charge`. The table is empty in these cases:
-
-        - Simulation did not confirm the plan to the requested accuracy.
-        - The solve for the other objective fails.
-        - The scenario has a user's own model, the objective of least time, or the attitude
-          equations of Yacef et al. (`vehicle.attitude` "paper").
+        `study.aims.energy_and_charge`, whose docstring states when the table is empty.
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound. "front" is the time for the tables `front` and
@@ -82,10 +77,10 @@ class RunResult(Summarised):
         Cautions about the results, one line each.
     tuning : Tuning or None
         Settings of the autopilot tuned for least energy, and all settings tried; None if no
-        autopilot was tuned.
+        autopilot was tuned, or if the tuning failed.
     often : InTurbulence or None
-        Many flights of the plan, and of an autopilot, in winds with turbulence; None if the
-        scenario has no turbulence.
+        Many flights of the plan, and of an autopilot, in winds with turbulence. None if the
+        scenario has no turbulence, the plan must not be flown, or a simulation fails.
     """
 
     scenario: Scenario
@@ -268,7 +263,8 @@ def run_scenario(
         Reference trajectories that the controller tracks in the simulated flights, for comparison
         with the plan; by default those that the scenario names.
     progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve.
+        Called at each Ipopt iteration; returning False stops the solve. If a stopped solve has no
+        plan that simulation confirmed, the result has no flights.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
 
@@ -407,8 +403,8 @@ def _priced(
     """Return the flights with their owed energy: the energy from the end to the exact goal state.
 
     If the scenario has a wind forecast, a plan for the actual wind is solved. The costates at its
-    end give the estimates for all flights but the plan's. Without a forecast, the flights have
-    their estimates already, and are returned unchanged.
+    end give the estimates for all flights but the plan's; if the solve fails, these are NaN.
+    Without a forecast, the flights have their estimates already, and are returned unchanged.
 
     Parameters
     ----------

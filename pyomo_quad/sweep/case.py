@@ -48,8 +48,8 @@ class CaseStatus(StrEnum):
     """Outcome of a case of a sweep.
 
     `FINISHED`: the case was solved, and simulation verified the solution. `FAILED`: the solve or
-    the verification failed. `LOST`: the worker process died while it solved the case; a resumed
-    sweep solves the case again.
+    the verification failed, or the field values are not allowed. `LOST`: the worker process died
+    while it solved the case; a resumed sweep solves the case again.
     """
 
     FINISHED = "finished"
@@ -128,7 +128,7 @@ class CaseOutcome:
     position, key : int, str
         Row number of the case, from 0, and hash of its field values.
     status : CaseStatus
-        Whether the case finished, failed numerically, or was lost because its worker died.
+        Whether the case finished, failed, or was lost because its worker died.
     reason : str
         Reason why the case did not finish; empty if it finished.
     values : mapping
@@ -275,7 +275,8 @@ class _Flown:
     def repeats(self) -> float:
         """Number of repetitions of the flight that one battery charge permits.
 
-        The available charge is the initial less the lowest permitted state of charge.
+        The available charge is the initial less the lowest permitted state of charge. NaN if the
+        flight uses no charge.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -422,7 +423,8 @@ def _read(
     Returns
     -------
     dict
-        Value of each column, by name; NaN if it is undefined for the flight.
+        Value of each column, by name, rounded to nine digits or fewer; NaN if it is undefined for
+        the flight.
     """
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
@@ -536,7 +538,8 @@ class _Bench:
         """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
 
         `warm_start` is the packed solution of the parent. If it is None or damaged, or if the plan
-        solved from it is not verified, the solve starts from the planner's own initial guess.
+        solved from it is not verified, a new planner replaces `planner`, and solves the case from
+        its own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:
@@ -548,6 +551,8 @@ class _Bench:
 
     def base_plan(self, base: Scenario, text: str) -> Plan:
         """Return the plan of the sweep's base scenario, solved at the first call and cached.
+
+        The cache holds the plan of one base scenario only, the last.
 
         Parameters
         ----------

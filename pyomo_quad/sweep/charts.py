@@ -275,7 +275,8 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
     """Draw an output quantity against the wind direction, in polar coordinates.
 
     The centre is the least value of all curves, not zero. A star marks the worst direction of each
-    curve (`Quantity.worst_row`).
+    curve (`Quantity.worst_row`). A curve that varies by less than 1 % of the range of all curves
+    has no star.
 
     Parameters
     ----------

@@ -78,7 +78,8 @@ class _Threads:
     """Counter of the worker threads of a Dask cluster, each of which solves one case at a time.
 
     The counter asks the cluster at most once in `WATCH_SECONDS`, and otherwise returns the last
-    number. `address` is for error messages.
+    number. `address` is for error messages. The method `count` raises `ClusterError` if the cluster
+    no longer answers.
     """
 
     def __init__(self, client: "Client", address: str) -> None:

@@ -206,7 +206,8 @@ def rounded(numbers: np.ndarray) -> tuple[float, ...]:
 def kind_of(value: object) -> type | None:
     """Return the type of a plain value: bool, float, str or list; None for any other value.
 
-    Plain values are finite numbers, texts, booleans, and lists of these; integers count as float.
+    Plain values are finite numbers, texts, booleans, and lists of these, but no lists of lists.
+    Integers count as float.
     """
     if isinstance(value, bool | str):
         return type(value)
@@ -329,7 +330,8 @@ class SweepDesign:
         Raises
         ------
         ValueError
-            If the text is not a sweep design, or has a value that a study file may not contain.
+            If the text is not a sweep design, or an attribute has a wrong type. The method
+            `refuse_impossible` checks the values.
         """
         try:
             return _DESIGN.validate_json(text)  # type: ignore[return-value]
@@ -346,8 +348,9 @@ class SweepDesign:
         Raises
         ------
         ValueError
-            If a dimension has missing or wrong values, there are too many cases, a field varies
-            twice, or an output column is unknown. The message is one line that names the fault.
+            If a dimension has missing or wrong values, there are no dimensions or too many cases, a
+            field varies twice, an output column is unknown, or `report_on` is empty. Also if the
+            base scenario is invalid; only then the message has several lines.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):

@@ -90,7 +90,7 @@ def _quantity(column: str, name: str, unit: str) -> Quantity:
 
 
 def number(value: object) -> str:
-    """Format a value of a result table with four significant digits.
+    """Format a value of a result table with four significant digits, or five from 10,000 to 99,999.
 
     A missing number (NaN) becomes a dash; a value that is not a float is printed as it is.
     """

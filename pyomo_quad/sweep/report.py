@@ -104,7 +104,8 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
         - ``extremes``: quantiles of each output column that the report draws;
         - ``best_of``: printed name of the first of these output columns;
         - ``best_durations``: mission durations at which the first output column is least;
-        - ``sensitivities``: range of each output column as each scenario field varies.
+        - ``sensitivities``: ranges of output columns as scenario fields vary, from
+          `_sensitivities`.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -121,7 +122,7 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
     """Group the failed cases of a sweep by reason, the most frequent reason first.
 
-    `failed` has the rows of the result table whose case failed.
+    `failed` has the rows of the result table whose case failed or was lost.
 
     Returns
     -------
@@ -188,7 +189,9 @@ def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
 def _sensitivities(
     results: SweepResults, quantities: Sequence[Quantity]
 ) -> Iterator[dict[str, Any]]:
-    """Yield the range of each quantity as each scenario field varies, for the report's template.
+    """Yield the ranges of quantities as scenario fields vary, for the report's template.
+
+    A quantity with fewer than two ranges is left out. Fields that are not numeric have no range.
 
     Parameters
     ----------
@@ -205,7 +208,7 @@ def _sensitivities(
         - ``label`` and ``scale``: printed name of the quantity, and factor to its printed unit;
         - ``centre``: printed name of the sweep's central case;
         - ``spread``: range of the quantity over all cases;
-        - ``found``: range along each field, with the other fields as in the central case.
+        - ``found``: range along each numeric field, as the class `Sensitivity` defines it.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)

@@ -27,7 +27,7 @@ class SweepListener(Protocol):
     """
 
     def start(self, total: int, already_ended: int) -> None:
-        """Receive the number of cases of the sweep, and how many of them ended in earlier runs."""
+        """Receive the numbers of all cases, and of cases that ended earlier, without lost cases."""
 
     def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
         """Receive a case whose result was stored.
@@ -56,7 +56,7 @@ class SweepSummary:
     total : int
         Number of cases of the sweep.
     already_finished : int
-        Number of cases that finished or failed in an earlier run. They are not solved again.
+        Number of cases that finished or failed in an earlier run, and were not solved again.
     finished, failed, lost : int
         Numbers of cases that ended in this run: solved, failed, and lost because the worker process
         died.
@@ -91,7 +91,8 @@ class Sweep:
         Base scenario of the design.
     store : ResultStore
         Result store, open for writing. Cases that finished or failed in an earlier run are not
-        solved again. Cases that were lost because their worker died are solved again.
+        solved again. Cases that were lost because their worker died are solved again. Their
+        descendants in the tree of warm starts are then solved again, too.
     listener : SweepListener
         Object that receives each row after the row was stored.
     solver : str, optional
@@ -129,8 +130,8 @@ class Sweep:
     def run(self, workers: Workers) -> SweepSummary:
         """Solve all cases that have no result yet.
 
-        Cases that an earlier run lost with their worker are solved again. Ctrl-C ends the run
-        early; the results so far are stored.
+        Cases that an earlier run lost with their worker, and their descendants, are solved again.
+        Ctrl-C ends the run early and stops the workers; the results so far are stored.
 
         Parameters
         ----------
@@ -347,7 +348,8 @@ def estimate_sweep(
     """Estimate the time that a sweep still needs, without storing any result.
 
     The time per case is the mean over the stored results. If there are none, two neighbouring cases
-    are solved, and the time of the second is taken.
+    are solved, and the time of the second is taken. If no case has a neighbour as initial guess,
+    only the first case is solved.
 
     Parameters
     ----------
@@ -364,6 +366,11 @@ def estimate_sweep(
     -------
     SweepEstimate
         Numbers of all and of missing cases, and the time per case.
+
+    Raises
+    ------
+    StoreError
+        If the result store in the folder cannot be read.
 
     Examples
     --------

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from pyomo_quad.scenario.fields import value_at
+from pyomo_quad.scenario.fields import parse_path, value_at
 from pyomo_quad.sweep.case import CaseStatus
 from pyomo_quad.sweep.design import Dimension, SweepDesign
 from pyomo_quad.sweep.store import CASE_COLUMN, STATUS_COLUMN
@@ -265,7 +265,8 @@ class SweepResults:
     def sensitivities(self, quantity: str) -> list[Sensitivity]:
         """Compute the range of a quantity along each numeric field, the widest range first.
 
-        The class `Sensitivity` defines the ranges.
+        The class `Sensitivity` defines the ranges. A field is left out if cases finished at fewer
+        than two of its values, or at too few for the fit of random fields.
 
         Parameters
         ----------
@@ -289,7 +290,7 @@ class SweepResults:
     def spread(self, quantity: str) -> Spread:
         """Compute the range of a quantity over all finished cases.
 
-        At least one case must have finished.
+        At least one case must have finished with a value of the quantity.
 
         Parameters
         ----------
@@ -326,7 +327,8 @@ class SweepResults:
             )
 
     def _central(self, dimension: Dimension) -> Any:  # noqa: ANN401  a value of any field
-        base = tuple(value_at(self.design.base, *path.split(".")) for path in dimension.paths)
+        paths = (parse_path(path) or () for path in dimension.paths)
+        base = tuple(value_at(self.design.base, *path) for path in paths)
         if base in dimension.steps:
             return base[0]
         values = dimension.values(dimension.paths[0])
@@ -344,7 +346,7 @@ def pareto_front(rows: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the rows on the Pareto front of two quantities to minimise.
 
     A row is on the front if every other row has a larger value of at least one of the two
-    quantities.
+    quantities. Of equal rows, only the first counts.
 
     Parameters
     ----------

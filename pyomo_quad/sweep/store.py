@@ -254,7 +254,7 @@ def discard(file: Path) -> None:
     Raises
     ------
     StoreError
-        If the file is a database of another program.
+        If the file is a database of another program, or cannot be opened as a database.
     """
     if file.exists():
         with connected(file, mode="rw") as connection:
@@ -421,8 +421,8 @@ class ResultStore:
         Raises
         ------
         StoreError
-            If the folder cannot be written, another sweep is writing there, or the store was made
-            by another program or another version of pyomo_quad.
+            If the folder cannot be written, or another sweep is writing there. Also if the store is
+            damaged, or was made by another program or another version of pyomo_quad.
         """
         file = Path(folder) / STORE_NAME
         with locked_folder(Path(folder)):
@@ -473,7 +473,13 @@ class ResultStore:
         self._design = design
 
     def statuses(self) -> dict[str, CaseStatus]:
-        """Return the status of each stored case, by the case's key (a hash of its field values)."""
+        """Return the status of each stored case, by the case's key (a hash of its field values).
+
+        Raises
+        ------
+        StoreError
+            If a row is damaged; see `rows`.
+        """
         return {key: row.status for key, row in self.rows().items()}
 
     def rows(self) -> dict[str, StoredCase]:
@@ -583,6 +589,11 @@ class ResultStore:
             The solution of the case, packed into bytes. For a case that could not be solved, it is
             the solution from which this case was started. None if the store has no warm start of
             the case.
+
+        Raises
+        ------
+        StoreError
+            If the stored warm start is damaged.
         """
         query = "SELECT arrays FROM warm_start WHERE case_key = ?"
         found = self._connection.execute(query, (key,)).fetchone()
@@ -632,7 +643,7 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     -------
     DataFrame
         Columns: number of the case (from 0), the fields that vary, status, reason of a failure, and
-        the output columns that the study keeps.
+        the output columns that the study keeps (all that have values, if it names none) or reports.
 
     Examples
     --------

@@ -64,9 +64,10 @@ class Sampling(Part):
     def draw(self, axis_count: int) -> np.ndarray:
         """Draw random points in the unit cube, one for each sample.
 
-        The value of a field is the quantile of its distribution at the point's coordinate. With the
-        method ``random``, a larger number of samples keeps the previous points; a Latin hypercube
-        changes all.
+        The value of a field is the quantile of its distribution at the point's coordinate. Each
+        call gives the same points, because the generator starts from `seed`. With the method
+        ``random``, a larger number of samples keeps the previous points; a Latin hypercube changes
+        all.
 
         Parameters
         ----------
@@ -268,9 +269,10 @@ def design_sweep(loaded: LoadedStudy, *, is_large_allowed: bool = False) -> Swee
     ------
     StudyError
         If two axes set the same field, a value occurs twice, there are too many cases, or axes that
-        change together have different numbers of values.
+        change together have different numbers of values. Also if the scenario has a user's model.
     ScenarioError
-        If an axis names an unknown field, or has a value that the field does not allow.
+        If an axis names an unknown field, or has a value that the field does not allow. Values with
+        which the vehicle cannot hover are no error here: the case fails later.
 
     Examples
     --------

@@ -98,6 +98,8 @@ class Workers:
     def wait(self) -> list[CaseOutcome]:
         """Wait until at least one submitted case has ended.
 
+        If no submitted case is running or waiting, the method never returns.
+
         Returns
         -------
         list of CaseOutcome

@@ -53,7 +53,8 @@ class Held:
         Measurements of steady flight, one row each. The columns are power [W], airspeed [m/s],
         payload [kg], climb speed [m/s] and air density [kg/m³].
     computed : ndarray, shape (n_points,)
-        Power that the vehicle's model gives for each measurement [W].
+        Power that the vehicle's model gives for each measurement [W]; NaN above the greatest
+        airspeed of the model.
     is_endurance : bool
         Whether the measured powers were computed from measured flight times.
     is_fitted : bool

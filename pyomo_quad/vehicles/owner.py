@@ -173,7 +173,8 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
     Raises
     ------
     ScenarioError
-        If the data contradict each other, for example if the motors are too slow to hover.
+        If the data contradict each other, for example if the motors are too slow to hover, or if
+        the number of rotors is not 4, 6 or 8.
     """
     pack = known.pack or usual_pack(known.mass)
     thrust = known.mass * GRAVITY / known.rotors
@@ -305,6 +306,11 @@ def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float
     tuple of (dict, float)
         Estimate of each parameter, by the field's name in the scenario's table `vehicle`; and the
         hover power [W] from the estimates alone, even if the owner has measured it.
+
+    Raises
+    ------
+    ScenarioError
+        If the measured hover power is less than electronics and ideal rotors take.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
@@ -401,7 +407,8 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
     """Return the body coordinates x, y [m] of six or eight rotors, equally spaced on a circle.
 
-    `arm` is the radius of the circle [m]. The result is None for four rotors.
+    `arm` is the radius of the circle [m]. The result is None for four rotors. Any number of rotors
+    but 4, 6 or 8 raises ScenarioError.
     """
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(

@@ -62,7 +62,7 @@ class PowerBand:
     ----------
     power, low, high : ndarray, shape (len(AIRSPEEDS),)
         Best estimate, lower end and upper end of the power [W]. There is one value for each
-        airspeed in the constant `AIRSPEEDS` [m/s].
+        airspeed in the constant `AIRSPEEDS` [m/s]; NaN at airspeeds that the vehicle cannot hold.
     causes : tuple of Cause
         Causes of the uncertainty.
     """

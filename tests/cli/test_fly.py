@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -186,6 +187,13 @@ def test_flights_that_cannot_be_many_are_one_line(options, found, tmp_path, caps
     said = capsys.readouterr().err
     assert found in said
     assert said.count("\n") == 1
+
+
+def test_a_scenario_file_with_another_ending_is_a_scenario_for_many_flights_too(tmp_path, capsys):
+    told = tmp_path / "mission.txt"
+    told.write_text(Path(PAPER_CALM).read_text())
+    assert main(["fly", str(told), *QUICK, "--quiet", "--flights", "5"]) == ExitCode.BAD_INPUT
+    assert "all 5 flights would be the same" in capsys.readouterr().err
 
 
 def test_a_plan_needs_a_count_of_flights(tmp_path, capsys):

@@ -138,8 +138,8 @@ class BernsteinRows:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
         A coefficient may exceed a bound where its polynomial does not. The estimate is multiplier *
-        (coefficient - value), with the polynomial's value at the coefficient's abscissa. See
-        docs/theory/transcription.md, eq. (7).
+        (coefficient - value), with the polynomial's value at the coefficient's abscissa. Negative
+        products count as 0. See docs/theory/transcription.md, eq. (7).
 
         Parameters
         ----------

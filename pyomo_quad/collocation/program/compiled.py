@@ -149,7 +149,8 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     """Return an output state with its equation; None if the model has no output state.
 
     An output state and its time derivative appear in a single equality, and in no objective or
-    integral. The state has no bounds, and is fixed at the start only.
+    integral. The equality contains no other time derivative. The state has no bounds, and is fixed
+    at the start only.
     """
     uses = Counter[str]()
     for equation in declared.equations:
@@ -295,7 +296,7 @@ def _as_simple_bound(
         None for each of these constraints:
 
         - an equality over time;
-        - a constraint that contains several variables;
+        - a constraint that contains no variable or several;
         - a constraint that is nonlinear in its variable, or whose slope depends on parameters;
         - a constraint on a variable that is no unknown of the nonlinear program.
     """
@@ -398,7 +399,8 @@ class CompiledModel:
     path_bounds : casadi.Function
         Data of a point -> lower and upper bounds of the path equations.
     limits : tuple of SimpleBound
-        Bounds of single variables over time.
+        Bounds of single variables over time. Each state and algebraic variable has an entry, with
+        infinite bounds if it declares none.
     limits_over_time : casadi.Function
         Data of a point -> lower and upper bounds of the variables in `limits`.
     simple_point_bounds : tuple of SimpleBound
@@ -505,7 +507,9 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
     - Output states, which affect nothing else, are left out of the program, unless the objective is
       constant.
-    - A constraint on a single variable becomes a bound.
+    - A bound that depends on static variables becomes a constraint.
+    - Any other inequality over time or condition on a single variable becomes a bound, if it is
+      linear in this variable.
     - An integral in a condition or in a nonlinear term of the objective becomes a static variable.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():

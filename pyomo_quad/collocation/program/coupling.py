@@ -5,8 +5,8 @@ constraints that contain variables of this horizon, but of no other. The objecti
 constraints form the coupling. Integrals over a horizon and values at declared times enter the
 coupling as follows:
 
-- An integral that enters only the objective, and linearly, is left out: it moves into the objective
-  of the horizon.
+- An integral that enters only the objective, with a number as coefficient, is left out: it moves
+  into the objective of the horizon. A mutable parameter is no number here.
 - A static variable (variable without time) replaces the value of a state. Both are one unknown of
   the joint program.
 - A static variable replaces any other integral or value. A constraint of the horizon makes both
@@ -113,7 +113,8 @@ class CouplingWriter(TemplateWriter):
         """Return the objective as a CasADi expression.
 
         The objective may contain values at any declared time. Constraints on several horizons may
-        contain values only at the ends of a horizon.
+        contain values only at the ends of a horizon. Translate all constraints before the
+        objective, because the call ends this check.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -121,9 +122,14 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        If `data` is a value of a horizon at a single time, such as ``x[1]``, the result is the
-        symbol of the static variable that replaces it. If `data` has no time, the result is its own
-        symbol.
+        For a value of a horizon at a single time, such as ``x[1]``, a static variable replaces the
+        value. The result is the symbol of this variable, which is stored in `links`. If `data` has
+        no time, the result is its own symbol.
+
+        Raises
+        ------
+        TranscriptionError
+            If the value must not appear in the coupling.
         """
         over = self.copy.other_of(data.parent_component())
         if over is None:
@@ -316,9 +322,10 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Separate the integrals over one horizon that enter the objective linearly.
+    """Separate the integrals over one horizon that enter the objective with a constant coefficient.
 
-    These integrals become the objective of the horizon's own nonlinear program.
+    The coefficient must be a number: a mutable parameter is a symbol here. These integrals become
+    the objective of the horizon's own nonlinear program.
 
     Parameters
     ----------

@@ -161,8 +161,8 @@ def elastic_point(
 ) -> FloatArray:
     """Return the unknowns at the optimum of an elastic program, as an initial point.
 
-    The elastic program is that of `priced`. The result lies within the bounds, and has the shape
-    (n_unknowns,).
+    The elastic program is that of `priced`. If its solve fails or is stopped, the result is its
+    best iterate. The result lies within the bounds, and has the shape (n_unknowns,).
 
     Parameters
     ----------
@@ -189,7 +189,8 @@ class LeastViolation:
     Attributes
     ----------
     z : ndarray, shape (n_unknowns,)
-        The unknowns at that optimum, within their bounds.
+        The unknowns at that optimum, within their bounds. If the search failed or was stopped, the
+        unknowns of its best iterate.
     slacks : ndarray, shape (n_rows,)
         Violation of each constraint, divided by the constraint's scale. The scale is about the size
         of the constraint's largest term.
@@ -230,7 +231,8 @@ def least_violation(
     """Find a point at which the sum of scaled constraint violations is least.
 
     The search solves an l1 elastic program without the objective. Slacks are in units of the
-    constraints' scales, and all have the same penalty.
+    constraints' scales, and all have the same penalty. If Ipopt fails, the search is repeated with
+    its other barrier strategy.
 
     Parameters
     ----------
@@ -242,6 +244,8 @@ def least_violation(
         Point from which the search starts. Unknowns that affect no violation stay near their values
         at this point.
     options : SolverOptions
+        Settings of Ipopt. Their tolerance is replaced by 1e-8, and at most 300 iterations are
+        allowed.
     progress : callable or None
         Called at each iteration; returning False stops the search.
 

@@ -6,7 +6,7 @@ costs Ipopt a slack, a multiplier, and a row of the matrix that each iteration f
 A constraint counts as far if it stays within its limits even if each unknown changes by a tenth of
 its magnitude. By linearisation at the warm start, row r of the constraints c is far if
 
-    slack_r > 0.1 sum_j |dc_r / dz_j| magnitude_j .
+    slack_r > 0.1 sum_j abs(dc_r / dz_j) magnitude_j .
 
 An optimum without the far rows is a local optimum of the whole program if it satisfies these rows:
 their multipliers are then zero.
@@ -111,7 +111,10 @@ class ProgramOfRows:
         return self.program.hessian(z, self.of_all(multipliers), factor)
 
     def of_all(self, multipliers: FloatArray) -> FloatArray:
-        """Return multipliers of all constraints of the other program; zero where not chosen."""
+        """Return multipliers of all constraints of the other program; zero where not chosen.
+
+        `multipliers` has one item for each chosen constraint.
+        """
         full = np.zeros(self.program.n_rows)
         full[self.rows] = multipliers
         return full
@@ -145,8 +148,9 @@ def run_without_far_rows(
 ) -> IpoptResult:
     """Solve a program from a warm start, without the constraints that are far from their limits.
 
-    The whole program is solved if few constraints are far, or if the optimum without the far
-    constraints violates one of them.
+    The whole program is solved if less than a fifth of the constraints are far. It is also solved
+    if the optimum without the far constraints violates one of them. If the solve without them fails
+    or is interrupted, its result is returned unchecked.
 
     Parameters
     ----------
@@ -160,7 +164,7 @@ def run_without_far_rows(
     Returns
     -------
     IpoptResult
-        Result with multipliers of all constraints. The history covers both solves.
+        Result with multipliers of all constraints. History and wall-clock time cover both solves.
     """
     is_far = far_rows(program, bounds, scaling, start)
     if np.count_nonzero(is_far) < _WORTH * program.n_rows:

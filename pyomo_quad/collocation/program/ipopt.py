@@ -37,8 +37,10 @@ class Status(Enum):
     - `TOLERANCE_NOT_MET`: Ipopt converged on the last mesh, but the mesh refinement did not reach
       its tolerance.
     - `INFEASIBLE`: the constraints appear to have no solution.
-    - `INTERRUPTED`: a time limit or the user stopped the solve.
-    - `NOT_CONVERGED`: any other failure, for example at the limit of iterations.
+    - `INTERRUPTED`: the progress callback or a KeyboardInterrupt (Ctrl+C) stopped the solve. The
+      callback also stops it at the time limit `SolverOptions.max_wall_s`.
+    - `NOT_CONVERGED`: any other failure, for example at the limit of iterations, or at a time limit
+      among Ipopt's own options.
     """
 
     CONVERGED = "converged"
@@ -125,13 +127,14 @@ class SolverOptions:
     ----------
     tolerance : float, optional
         Ipopt's option `tol`, for the scaled problem. By default it is derived from the tolerance of
-        the mesh refinement.
+        the mesh refinement (see `suiting`). Without refinement, it is 1e-9.
     max_iterations : int
         Limit of iterations on each mesh.
     max_wall_s : float, optional
         Wall-clock time limit for all meshes together [s].
     extra : tuple of (str, value)
-        Further options of Ipopt, as (name, value).
+        Further options of Ipopt, as (name, value). They override all other settings, and a later
+        item overrides an earlier item of the same name.
     cold : tuple of (str, value)
         Further options of Ipopt for solves without a warm start, as (name, value).
     """
@@ -261,8 +264,8 @@ class SolverOptions:
     def from_afar(self) -> SolverOptions:
         """Return the settings for a solve whose first point violates many inequalities.
 
-        They apply to solves without a warm start. The barrier parameter begins at 0.1 and only
-        decreases: see docs/decisions/speed.md.
+        They apply to solves without a warm start, and replace the attribute `cold`. The barrier
+        parameter begins at 0.1 and only decreases: see docs/decisions/speed.md.
         """
         # By default, Ipopt chooses the barrier parameter adaptively, and estimates its first value
         # from the first point. The estimate is then often a thousand times too small, so that the
@@ -272,7 +275,8 @@ class SolverOptions:
     def from_a_flight(self) -> SolverOptions:
         """Return the settings for a solve whose first point resembles a possible flight.
 
-        They apply to solves without a warm start. The barrier parameter is at most 0.01.
+        They apply to solves without a warm start, and replace the attribute `cold`. The barrier
+        parameter is at most 0.01.
         """
         # The first value of Ipopt's adaptive barrier parameter may be near 1. The iterates then
         # move to flights that take two or three times as long, and need many iterations to return.
@@ -300,7 +304,8 @@ class Iteration:
     iteration : int
         Number of the iteration, from 0 in each solve.
     objective : float
-        Objective of the Pyomo model, not negated if it is maximised.
+        Objective of the nonlinear program, not negated if the Pyomo model maximises it. It includes
+        costs that an `ExtendedProgram` adds, such as damping or penalties of slacks.
     infeasibility, dual_infeasibility : float
         Largest violation of the scaled constraints, and of the scaled stationarity conditions
         (gradient of the Lagrangian equal to zero).
@@ -356,9 +361,10 @@ class Effort:
         self.started = time.perf_counter()
 
     def __call__(self, line: Iteration) -> bool | None:
-        """Return False once a limit is exceeded, else the result of the caller's own callback.
+        """Count an iteration; return False once a limit is exceeded, which stops the solve.
 
-        `line` is the progress report of the iteration. Returning False stops the solve.
+        Within the limits, the result is that of the caller's own callback, or None without one.
+        `line` is the progress report of the iteration.
         """
         self.solves += line.iteration == 0
         self.count += line.iteration > 0
@@ -385,9 +391,11 @@ class IpoptResult:
     message : str
         Ipopt's own message.
     z : ndarray, shape (n_unknowns,)
-        The solution; after a failure the iterate with the least constraint violation.
+        The solution. After a failed or interrupted solve, it is the best recorded iterate. Its
+        constraint violation is less than ten times the least of all iterates. If the iterates
+        diverged, `z` is the last one.
     multipliers : Multipliers
-        Multipliers of constraints and bounds, for the unscaled program.
+        Multipliers of constraints and bounds at the last iterate, for the unscaled program.
     iterations : int
         Number of iterations; of the last solve, if Ipopt solved the program several times.
     history : tuple of Iteration
@@ -431,7 +439,8 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    The first exception in a callback is stored in `error`, to be raised after Ipopt returns.
+    The first exception in a callback is stored in `error`. The function `run` raises it after Ipopt
+    has returned. If it is a KeyboardInterrupt, `run` returns the status `INTERRUPTED` instead.
 
     Attributes
     ----------
@@ -448,7 +457,8 @@ class _Callbacks:
     history : list of Iteration
         Progress reports of all iterations so far.
     best : (float, ndarray)
-        Constraint violation and unknowns of the best iterate so far.
+        Constraint violation and unknowns of the best iterate so far. An iterate replaces it if its
+        violation is at most a tenth.
     error : exception or None
         First exception that a callback raised.
     """
@@ -674,7 +684,8 @@ def run(
     multipliers : Multipliers, optional
         Initial multipliers of a warm start.
     progress : callable, optional
-        Called at each iteration; returning False stops the solve.
+        Called at each iteration. If it returns False, the solve stops with the status
+        `INTERRUPTED`.
 
     Returns
     -------
@@ -682,8 +693,13 @@ def run(
 
     Raises
     ------
+    TranscriptionError
+        If Ipopt does not accept an option, or cannot load the linear solver.
+    MemoryError
+        If Ipopt ran out of memory.
     Exception
-        The first exception that a callback raised. It is raised after Ipopt has returned.
+        The first exception that a callback raised. It is raised after Ipopt has returned. For a
+        KeyboardInterrupt, the result has the status `INTERRUPTED` instead.
     """
     idle = bounds.surplus + 1
     if idle > 0:
@@ -784,8 +800,9 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    `barrier_gap` returns the gap. There are at most two repetitions. Each of them scales the
-    objective by a larger factor, so that Ipopt ends at a smaller gap.
+    `barrier_gap` returns the gap. There are at most two repetitions of at most 100 iterations. Each
+    of them scales the objective by a larger factor, so that Ipopt ends at a smaller gap. If a
+    repetition fails or is interrupted, the result of the solve before it is returned.
 
     Parameters
     ----------
@@ -804,7 +821,7 @@ def run_past_the_barrier(
     Returns
     -------
     IpoptResult
-        The history and the wall-clock time cover all repeated solves.
+        The history and the wall-clock time cover the first solve and all converged repetitions.
     """
     solve = partial(run, program, bounds, progress=progress)
     result = solve(scaling, start, options=options, multipliers=multipliers)
@@ -831,10 +848,10 @@ def run_past_the_barrier(
 
 
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
-    """Pass options to Ipopt: default settings, the caller's options, settings for a warm start.
+    """Pass options to Ipopt: defaults, settings for a warm or cold start, the caller's options.
 
-    `problem` is cyipopt's problem object, which receives the options. `is_warm` is true for a solve
-    that starts from given multipliers.
+    Later options override earlier ones. `problem` is cyipopt's problem object, which receives the
+    options. `is_warm` is true for a solve that starts from given multipliers.
 
     Raises
     ------
@@ -862,20 +879,20 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    After a successful solve, the unknowns of the result are `z`. After a failed solve, they are the
-    recorded iterate with the least constraint violation. If the iterates diverged, they are `z`
-    again.
+    After a successful solve, the unknowns of the result are `z`. After a failed or interrupted
+    solve, they are the best iterate that `callbacks` recorded. If the iterates diverged, they are
+    `z` again.
 
     Parameters
     ----------
     callbacks : _Callbacks
-        Recorded progress, and the iterate with the least constraint violation.
+        Recorded progress, and the best recorded iterate.
     z, info : ndarray, dict
         The results of cyipopt: unknowns, and further information.
     wall : float
         Wall-clock time [s].
     stopped : bool
-        Whether the user interrupted the solve.
+        Whether a KeyboardInterrupt stopped the solve.
 
     Raises
     ------

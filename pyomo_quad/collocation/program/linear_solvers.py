@@ -48,7 +48,8 @@ sys.exit(problem.solve(numpy.ones(1))[1]["status"] != 0)
 def refuse_absent_solver(options: Mapping[str, Any]) -> None:
     """Raise an error if Ipopt's options name a linear solver that Ipopt cannot load.
 
-    `options` maps the names of Ipopt's options to their values.
+    `options` maps the names of Ipopt's options to their values. The default solver MUMPS is not
+    checked.
 
     Raises
     ------
@@ -69,8 +70,8 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
 def _is_loaded(options: str) -> bool:
     """Return whether Ipopt solves a small problem with the given options, in a separate process.
 
-    Ipopt solves the problem only if it can load the linear solver that the options name. `options`
-    is a JSON text of option names and values.
+    Ipopt solves the problem only if it can load the linear solver that the options name. After 60 s
+    without an end, the result is False. `options` is a JSON text of option names and values.
     """
     try:
         probe = subprocess.run(  # noqa: S603  our own interpreter and program

@@ -1,8 +1,8 @@
 """Redundant conditions: found at given unknowns, left out of a solve, and checked afterwards.
 
-A condition is a constraint at a declared time (a member of the continuous set), such as an end
-condition. It is redundant if it follows from the other equations. For example, the initial
-conditions imply an end condition on a conserved quantity.
+A condition is a constraint at declared times (members of the continuous set) or without time. It is
+redundant if it follows from the other equations. For example, the initial conditions imply an end
+condition on a conserved quantity.
 
 On a mesh, the other equations imply the redundant condition only up to the discretisation error. A
 program that imposes the condition may therefore have no solution, or only a single one with an
@@ -45,8 +45,8 @@ FORGIVEN = 1e-4
 class Candidate:
     """Condition that may be redundant, because it follows from other equations.
 
-    A condition is a constraint at a declared time (a member of the continuous set), or a value
-    fixed at a declared time.
+    A condition is a constraint at declared times (members of the continuous set) or without time.
+    The fixed value of a state at a declared time, or of a variable without time, also counts.
 
     Attributes
     ----------
@@ -112,7 +112,8 @@ def redundant_conditions(
     """Return the conditions (constraints or fixed values at declared times) that are redundant.
 
     A condition is redundant if its gradient is a linear combination of the gradients of the
-    equations over time and of the conditions tested before it.
+    equations over time and of the conditions tested before it. Remainders below 1e-4 of the scaled
+    gradient count as zero.
 
     Parameters
     ----------
@@ -251,7 +252,7 @@ def misses(
     -------
     list of float
         Absolute violation of each condition, multiplied by the scaling factor of its constraint or
-        fixed unknown.
+        fixed unknown. The order is that of `redundant_conditions`.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

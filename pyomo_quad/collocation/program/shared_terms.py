@@ -28,12 +28,13 @@ class WithoutCalls:
     """Column of CasADi expressions in which symbols replace the calls of interpolation tables.
 
     With symbols in place of the calls, `casadi.cse` can merge equal terms of the expressions and of
-    their derivatives, without writing out the data of the tables.
+    their derivatives, without writing out the data of the tables. If the expressions also call
+    another function, no call is replaced.
 
     Attributes
     ----------
     rows : casadi.SX
-        The expressions; each term occurs once.
+        The expressions. Each term occurs once, unless the expressions call another function.
     calls : tuple of (casadi.SX, casadi.Function, casadi.SX)
         For each call of a table: the symbols that stand for its result, the function that evaluates
         the table, and the arguments of the call. The calls are in the order of evaluation, because
@@ -46,6 +47,9 @@ class WithoutCalls:
     @classmethod
     def of(cls, rows: Any, inputs: Sequence[Any]) -> Self:
         """Replace each call of an interpolation table in a column of expressions by symbols.
+
+        If the expressions also call another CasADi function, whose results have derivatives, they
+        are returned unchanged.
 
         Parameters
         ----------

@@ -164,10 +164,11 @@ class Layout:
 
     @cached_property
     def condition_variables(self) -> csr_matrix:
-        """Matrix that maps the unknowns to all variables of conditions and objective.
+        """Matrix that maps the unknowns to the variables of conditions and objective.
 
         The first rows are those of `point_values`. Then follows one row per static variable
-        (variable without time). There is one column per unknown.
+        (variable without time). Integrals in the objective have no row. There is one column per
+        unknown.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
@@ -176,7 +177,7 @@ class Layout:
     def point_values(self) -> csr_matrix:
         """Matrix from the unknowns to the values at declared times that the model refers to.
 
-        Conditions (constraints at declared times) and the objective contain these values. Declared
+        The values are those of variables and of derivatives in conditions and objective. Declared
         times are the members of the continuous set. There is one row per value, and one column per
         unknown.
         """
@@ -420,7 +421,7 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return the objective's derivative with respect to each direct integral.
 
-        `point_sources` are the derivatives of conditions (constraints at declared times) and
+        `point_sources` are the derivatives of conditions (constraints not over time) and
         objective, as CasADi returned them. The result has the shape (n_integrals,).
         """
         slopes = np.zeros(self.n_integrals)
@@ -428,13 +429,15 @@ class JacobianScatter:
         return slopes
 
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
-        """Return the dense gradient of the objective, shape (n_unknowns,).
+        """Return the dense gradient of the Pyomo model's objective, shape (n_unknowns,).
+
+        It is not negated if the model maximises the objective.
 
         Parameters
         ----------
         sources : ndarray, shape (n_sources,)
             The values that CasADi returned for the first derivatives: those of path equations and
-            integrands, then those of conditions (constraints at declared times) and objective. The
+            integrands, then those of conditions (constraints not over time) and objective. The
             last entry is a constant 1, which only the Jacobian of the constraints uses.
         slopes : ndarray, shape (n_integrals,)
             Derivatives of the objective with respect to the integrals that enter it directly.
@@ -453,7 +456,7 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
     The inputs of the maps are called sources. They are, in this order:
 
     - the nonzeros of the Jacobian of path equations and integrands, point by point;
-    - the nonzeros of the Jacobian of conditions (constraints at declared times) and objective;
+    - the nonzeros of the Jacobian of conditions (constraints not over time) and objective;
     - the number 1: the derivative, with respect to the static variable (without time), of a
       constraint ``variable - integral = 0``.
     """
@@ -509,7 +512,7 @@ def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     The inputs of the map are called sources. They are, in this order:
 
     - the nonzeros of the Hessians of path equations and integrands, point by point;
-    - the nonzeros of the Hessian of conditions (constraints at declared times) and objective.
+    - the nonzeros of the Hessian of conditions (constraints not over time) and objective.
     """
     into, path, points = Contributions(), compiled.path, compiled.points
     n_path, count = layout.points * len(path.hessian_rows), len(path.hessian_rows)

@@ -38,8 +38,8 @@ class Place:
     name : str
         Full name of the equation or variable.
     time : float, optional
-        Physical time, or the fraction of the horizon if start or end of the horizon is a variable.
-        None for a variable without time, and for a constraint that is imposed only once.
+        Time according to `Transcription.time_of`. None for a variable without time, and for a
+        constraint that is imposed only once.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in the element, from 1.
     """
@@ -97,7 +97,7 @@ def unknown_place(program: Transcription, column: int) -> Place:
     """Return name, time, element and collocation point of the unknown with the index `column`.
 
     Element and point are None for a state at the start of the horizon. A variable without time has
-    only a name.
+    only a name. An IndexError is raised if there is no unknown with this index.
     """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
@@ -148,7 +148,7 @@ class Transcription:
     The order of the constraints ("rows") is:
 
     - path equations (equalities and inequalities over time), point by point;
-    - conditions (constraints at declared times, the members of the continuous set);
+    - conditions (constraints without time, or at members of the continuous set);
     - constraints that make static variables (variables without time) equal to integrals.
 
     Parameters
@@ -228,7 +228,10 @@ class Transcription:
 
     @property
     def first_condition_row(self) -> int:
-        """Position of the first condition (constraint at declared times) among the constraints."""
+        """Position of the first condition (constraint not imposed over time) among all constraints.
+
+        The docstring of the class gives the order of the constraints.
+        """
         return self.layout.points * self.compiled.n_equations
 
     @property
@@ -245,7 +248,7 @@ class Transcription:
         """Start and end of the horizon as physical times, None if one of them is a variable.
 
         The start or the end is a variable if a static variable (a variable without time) gives its
-        physical time.
+        physical time. The result is also None for a model without time.
         """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
@@ -254,10 +257,11 @@ class Transcription:
         return float(self.data.parameters[start]), float(self.data.parameters[end])
 
     def time_of(self, fraction: float) -> float:
-        """Return the physical time at a fraction of the horizon.
+        """Return the physical time at a fraction of the horizon, for messages.
 
-        The time is interpolated linearly between start and end of the horizon. If start or end of
-        the horizon is a variable, the result is `fraction` itself.
+        The time is interpolated linearly between start and end of the horizon. With free interior
+        times, which the solve determines, the result thus differs from physical time. If `horizon`
+        is None, the result is `fraction` itself.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
@@ -648,8 +652,14 @@ def rate_corrections(
     Returns
     -------
     ndarray, shape (n_points, n_states)
-        Newton steps for the rates. They are exact if the equations are linear in the rates. If
-        there are fewer equations than rates, the steps are those of least norm.
+        Newton steps for the rates. They are exact if the equations are linear in the rates. If the
+        numbers of equations and rates differ, the steps are the least-squares solutions of least
+        norm.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If the numbers are equal, but the equations do not determine the rates at a point.
     """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]

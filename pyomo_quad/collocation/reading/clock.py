@@ -130,8 +130,8 @@ class PhaseTimes:
     def span_at(self, time: float) -> Any:
         """Return d (physical time) / d (fraction of the horizon) just before a declared time.
 
-        The derivative may jump at a free time. The result is a CasADi expression of the free times
-        and of parameters.
+        At the first declared time, it is the derivative just after it. The derivative may jump at a
+        free time. The result is a CasADi expression of the free times and of parameters.
         """
         return self._spans[self.phase_of(time)]
 
@@ -162,7 +162,8 @@ class PhaseTimes:
         """Return constraints that give every phase of the horizon a positive duration.
 
         Each item is a name and a CasADi expression that must not be negative: the physical duration
-        of the phase minus 1e-6 times that of the horizon.
+        of the phase minus 1e-6 times that of the horizon. The list is empty if there is only one
+        phase.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:

@@ -135,7 +135,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
     Raises
     ------
     TranscriptionError
-        If the argument is no model, or two of the sets index the same component.
+        If the argument is no constructed model, or two of the sets index the same variable.
     """
     _refuse_other_than_models(model)
     sets = tuple(
@@ -242,8 +242,13 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for declarations that cannot be transcribed to a nonlinear program.
 
-    They are components of unknown types, integer variables, blocks and objectives indexed by one of
-    the continuous sets `times`, and derivatives of higher order.
+    They are:
+
+    - components of unknown types;
+    - the piecewise functions that `_refuse_piecewise` refuses;
+    - integer variables that are not fixed;
+    - active blocks and objectives indexed by one of the continuous sets `times`;
+    - derivatives of higher order.
     """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)
@@ -299,7 +304,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Raises
     ------
     TranscriptionError
-        If the model declares something that cannot be transcribed to a nonlinear program.
+        If the model declares something that cannot be transcribed to a nonlinear program. Also if a
+        rule fails at the template time, or a member was changed after its rule made it.
     """
     copy = model.clone()
     transfer_rules(model, copy)

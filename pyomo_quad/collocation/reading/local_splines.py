@@ -73,7 +73,8 @@ class LocalSpline:
     def of(cls, knots: Sequence[FloatArray], coefficients: FloatArray, degree: int) -> Self:
         """Return a B-spline in the form of a `LocalSpline`.
 
-        A `LocalSpline` is a spline whose evaluation cost does not depend on the grid's size.
+        The B-spline must be linear in the first and last interval of each axis, as is that of
+        `Spline.through`. Otherwise, the tangent from the neighbouring interval replaces it there.
 
         Parameters
         ----------

@@ -1,6 +1,6 @@
 """Reading of a Pyomo.DAE model: equations over time, conditions, integrals and objective.
 
-A condition is a constraint at a declared time (a member of the continuous set).
+A condition is a constraint at declared times (members of the continuous set) or without time.
 """
 
 from __future__ import annotations
@@ -61,10 +61,15 @@ class RelationReader:
         self.symbols = writer.symbols
 
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
-        """Return the equations over time, and the conditions (constraints at declared times).
+        """Return the equations over time, and the conditions (constraints not imposed over time).
 
         The equations are equalities and inequalities at all times, with the bounds of time
-        derivatives at the end.
+        derivatives at the end. Constraints of other horizons are left out.
+
+        Raises
+        ------
+        TranscriptionError
+            If a constraint is not supported; the message names it.
         """
         equations: list[PathEquation] = []
         conditions: list[PointCondition] = []
@@ -114,7 +119,7 @@ class RelationReader:
             Index without the time (i for ``x[i, t]``), which the members share.
         instances : dict
             Active members by time, including the member at the template time (the added interior
-            time at which equations are read).
+            time at which equations are read). That member is removed from the dictionary.
         equations, conditions : list
             Lists to which the result is added.
         """
@@ -145,10 +150,10 @@ class RelationReader:
             )
 
     def _refuse_listed(self, component: Any) -> None:
-        """Raise an error for a ConstraintList that repeats one constraint at all declared times.
+        """Raise an error for a list of constraints that repeats one at all declared times.
 
-        A list is checked only if it has one member per declared time, and contains no variables
-        except algebraic variables over time.
+        `component` is a ConstraintList or other Constraint. It is checked only if it has one active
+        member per declared time, and contains only algebraic variables over time.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -309,7 +314,7 @@ class RelationReader:
         """Return whether a condition equals an equation over time, evaluated at a declared time.
 
         Both come from one constraint of the model. If its rule branches on time, they count as
-        equal if they contain the same symbols.
+        equal if their expressions contain the same symbols, whatever their bounds.
 
         Parameters
         ----------
@@ -357,7 +362,8 @@ class RelationReader:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
         The method appends other fixed values at declared times, and bounds that were assigned at
-        single declared times, to `conditions`.
+        single declared times, to `conditions`. A TranscriptionError is raised if a variable is
+        fixed without a value.
         """
         fixed = []
         table = self.symbols
@@ -495,7 +501,7 @@ class ModelReader:
     equations : list of PathEquation
         Constraints over time.
     conditions : list of PointCondition
-        Constraints at declared times, the members of the continuous set.
+        Constraints at declared times (members of the continuous set) or without time.
     """
 
     def __init__(self, writer: TemplateWriter) -> None:
@@ -509,14 +515,17 @@ class ModelReader:
     def require_all(self) -> None:
         """Raise an error for a model without a variable to solve for, or without complete dynamics.
 
-        Dynamics are complete if an equation over time contains the derivative of each state, or
-        equations without time derivatives determine the state.
+        Dynamics are complete if an equality over time contains the derivative of each state. The
+        method `_require_dynamics` describes an exception.
         """
         self._require_dynamics(self.equations)
         self._require_variables()
 
     def declarations(self, cost: Any, objective: Any) -> Declarations:
         """Return the model in CasADi symbols: variables, parameters, constraints and objective.
+
+        Call this method only once: it appends fixed values, bounds at single times, and the order
+        of free times to the attribute `conditions`.
 
         Parameters
         ----------
@@ -600,8 +609,8 @@ class ModelReader:
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
         """Raise an error for a state whose time derivative appears in no equation over time.
 
-        A state is accepted without its derivative if equations without time derivatives determine
-        it.
+        One kind of state is accepted without its derivative: equations without time derivatives
+        determine it, and the derivative of another member of its Pyomo variable appears.
         """
         read = [symbol_names(e.expression) for e in equations if e.is_equality]
         used = frozenset[str]().union(*read)

@@ -12,7 +12,7 @@ from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from pyomo.core import Constraint, Suffix, Var, value
+from pyomo.core import Constraint, Param, Suffix, Var, value
 from pyomo.core.base.units_container import UnitsError, units
 from pyomo.dae import DerivativeVar, Integral
 
@@ -65,7 +65,8 @@ def declared_unit(model: Any, name: str) -> str:
     """Return the unit of a constraint's body or of a variable, by name; "" if it has none.
 
     `model` is the Pyomo model, and `name` the name of the constraint or variable. The unit is a
-    text such as "m/s".
+    text such as "m/s". The result is also "" for a dimensionless unit, inconsistent units or an
+    unknown name.
     """
     component = model.find_component(family_name(name))
     data: Any = None if component is None else next(iter(component.values()), None)
@@ -159,6 +160,11 @@ class LiveModel:
         """Return whether the model has a component of this name."""
         return self.model.find_component(name) is not None
 
+    def is_constant(self, name: str) -> bool:
+        """Return whether a component, given by its name or that of a member, is immutable."""
+        component = self.model.find_component(family_name(name))
+        return getattr(component, "ctype", None) is Param and not component.mutable
+
     def unit(self, name: str) -> str:
         """Return the unit of a constraint or variable by name, as a text; "" if it has none."""
         family = family_name(name)
@@ -170,6 +176,11 @@ class LiveModel:
         """Return the value of a parameter without time, or of a fixed variable; None if unset.
 
         `slot` is the parameter or variable.
+
+        Raises
+        ------
+        TranscriptionError
+            If a variable over time is fixed to different values at the declared times.
         """
         component = self.model.find_component(slot.component)
         member = self._member(component, slot)
@@ -206,8 +217,9 @@ class LiveModel:
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
         """Return a variable's `initialize` rule as a function of time.
 
-        The function raises a `TranscriptionError` where the rule fails. The result is None if there
-        is no rule, or if the model's values differ from those of the rule.
+        The function raises a `TranscriptionError` where the rule fails. The result is None without
+        a rule, or if the rule fails at a declared time. It is also None if values in the model that
+        are not fixed differ from those of the rule.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -277,7 +289,8 @@ class LiveModel:
         TranscriptionError
             If a parameter without a rule has different values at declared times (members of the
             continuous set). Its values at other times are then unknown. Also if a parameter with a
-            rule has values in the model that differ from those of the rule.
+            rule has values in the model that differ from those of the rule. Also if the rule fails
+            at a declared time.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
@@ -392,6 +405,7 @@ class LiveModel:
         return ModelSnapshot(
             times=self.times,
             names=frozenset(c.name for c in components),
+            constants=frozenset(c.name for c in components if self.is_constant(c.name)),
             units={name: unit for name, unit in units.items() if unit},
             parameters={
                 slot.name: self.parameter(slot)
@@ -471,6 +485,8 @@ class ModelSnapshot:
         Declared times, the members of the model's continuous set.
     names : frozenset of str
         Names of the model's components.
+    constants : frozenset of str
+        Names of the components that are immutable parameters.
     units : dict
         Units by component name.
     parameters : dict
@@ -489,6 +505,7 @@ class ModelSnapshot:
 
     times: tuple[float, ...]
     names: frozenset[str]
+    constants: frozenset[str]
     units: dict[str, str]
     parameters: dict[str, float | None]
     variables: dict[tuple[str, float | None], float | None]
@@ -512,6 +529,10 @@ class ModelSnapshot:
     def has(self, name: str) -> bool:
         """Return whether the model had a component of this name when the problem was pickled."""
         return name in self.names or name.rpartition("[")[0] in self.names
+
+    def is_constant(self, name: str) -> bool:
+        """Return whether a component, given by its name or that of a member, is immutable."""
+        return family_name(name) in self.constants
 
     def unit(self, name: str) -> str:
         """Return the unit of a constraint or variable by name, as a text; "" if it has none."""

@@ -74,7 +74,7 @@ def rule_of(component: Any) -> Any:
     """Return the rule that makes the members of a component, as a Pyomo initializer.
 
     A rule takes a block and an index. The default function of a mutable parameter counts as a rule.
-    The result is None if the component has no rule.
+    The result is None without a rule, for a constant in its place, and for a ConstraintList.
     """
     if isinstance(component, ConstraintList):
         return None  # Its rule counts its own calls and takes no index.
@@ -85,13 +85,19 @@ def rule_of(component: Any) -> Any:
 
 
 def bounds_rule_of(variable: Any) -> Any:
-    """Return the rule that gives the members of a variable their bounds, or None."""
+    """Return the rule that gives the members of a variable their bounds, or None.
+
+    The result is None if there is no rule, or if the bounds are constant.
+    """
     rule = getattr(variable, "_rule_bounds", None)
     return None if rule is None or rule.constant() else rule
 
 
 def initial_rule_of(variable: Any) -> Any:
-    """Return the rule that gives the members of a variable their initial values, or None."""
+    """Return the rule that gives the members of a variable their initial values, or None.
+
+    The result is None if there is no rule, or if the initial value is constant.
+    """
     rule = getattr(variable, "_rule_init", None)
     return None if rule is None or rule.constant() else rule
 
@@ -129,13 +135,13 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    `copy` is the clone of the user's model. Its constraints and named expressions with a rule are
-    checked.
+    `copy` is the clone of the user's model. Its indexed constraints and named expressions with a
+    rule are checked, but only the last member of each.
 
     Raises
     ------
     TranscriptionError
-        If a member differs; the message names the member.
+        If the member differs, or the rule fails; the message names the member or component.
     """
     # Equations over time are read by calling the rule again. The call would not show a change by
     # Pyomo's method `set_value`.
@@ -162,7 +168,8 @@ def _is_same(held: Any, stated: Any) -> bool:
     """Return whether a member's expression equals the expression that its rule returns.
 
     `held` is the expression of the member in the model, `stated` the expression that the rule
-    returns now. Expressions with external functions are compared as text.
+    returns now. They also count as equal if their texts are equal, because Pyomo cannot compare
+    external functions.
     """
     parts = [_PrefixNotation().walk_expression(expression) for expression in (held, stated)]
     try:

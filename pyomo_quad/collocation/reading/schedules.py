@@ -224,8 +224,8 @@ class Schedule:
     def _read(self, time: float) -> Reading:
         """Call the rule at a time, and return form and numbers of its result.
 
-        Results of the rule have the same form if they differ in their numbers only. A form that
-        appears for the first time is registered.
+        Results of the rule have the same form if they differ in their numbers only. A new form is
+        registered before compilation, and an error afterwards: see `_sort`.
         """
         statement = self._say(time)
         numbers: list[float] = []

@@ -37,7 +37,7 @@ class TimeSymbol:
     - As an index, the symbol equals the template time. The rule's ``m.x[t]`` is the member at the
       template time.
     - In arithmetic, the symbol is a Pyomo parameter that stands for physical time.
-    - In a comparison, the symbol is a number.
+    - In a comparison by <, <=, > or >=, the symbol is a number.
 
     Parameters
     ----------
@@ -80,7 +80,8 @@ class TimeSymbol:
         """Return the result of comparing the number of this symbol with another number in a rule.
 
         `relation` is a function of two numbers, such as `operator.lt`. `other` is the second
-        number, or another symbol for time.
+        number, or another symbol for time. If it is a number and no declared time, `is_read`
+        becomes True.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -162,8 +163,9 @@ for _operation in (
 class Instant(float):
     """Time that a rule receives; used as an index, it selects variables at the template time.
 
-    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. The rule can thus
-    be called with many times, and all its results refer to variables at the template time.
+    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. The comparison
+    ``t == 2`` uses the template time. The rule can thus be called with many times, and all its
+    results refer to variables at the template time.
     """
 
     __slots__ = ("template",)
@@ -381,7 +383,8 @@ class Slot:
         Index without the time: (i,) for ``x[i, t]``, () for ``x[t]`` and for ``x``.
     symbol : casadi.SX
     lower, upper : casadi.SX
-        Bounds as expressions of the parameters, infinite unless given.
+        Bounds as expressions of parameters and time, infinite unless given. While a model is being
+        read, they are those of the Pyomo variable instead, None if absent.
     nominal : float, optional
         Declared magnitude, for scaling.
     rate : casadi.SX, optional
@@ -499,7 +502,7 @@ class Declarations:
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
-        Constraints at declared times, the members of the continuous set.
+        Constraints at declared times (members of the continuous set) or without time.
     point_symbols : tuple of PointSymbol
         Values at declared times in conditions and objective.
     integrals : tuple of Integral
@@ -542,9 +545,10 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether the model has time-dependent parameters, or rules that branch on time.
+        """Whether the model has time-dependent parameters, rules that branch on time, or phases.
 
-        Both must be evaluated at each collocation point before a solve.
+        They must be evaluated at each collocation point before a solve. Free times divide the
+        horizon into phases.
         """
         return bool(self.signals or self.scheduled)
 
@@ -583,7 +587,8 @@ class SymbolTable:
         Declared time (member of the continuous set) -> static variable that gives its physical
         time.
     statics : dict
-        Static variables by name; several horizons share the dictionary.
+        Static variables by name, to which new ones are added; several horizons share the
+        dictionary.
     """
 
     def __init__(
@@ -646,9 +651,10 @@ class SymbolTable:
         return symbol
 
     def leaf(self, data: Any) -> Any:
-        """Return the CasADi symbol of a Pyomo variable or mutable parameter.
+        """Return a Pyomo variable, time derivative or mutable parameter in CasADi symbols.
 
-        `data` is the variable or parameter, a Pyomo data object.
+        `data` is the Pyomo data object. A time derivative, and a parameter that equals time, give
+        an expression. An error is raised if `data` is indexed by the time of another horizon.
         """
         address = self._addresses.of(data)
         self._refuse_other_horizon(data)
@@ -698,7 +704,7 @@ class SymbolTable:
         return table[name].symbol
 
     def fixed_value(self, data: Any) -> Any:
-        """Return the symbol of a new parameter that holds the value of a fixed variable.
+        """Return the symbol of a parameter, made at first use, with the value of a fixed variable.
 
         With a parameter, the value can change between solves without another compilation. `data` is
         the variable, a Pyomo data object.

@@ -166,7 +166,8 @@ class Table(PythonCallbackFunction):
 
     With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. The
     function is the cubic not-a-knot spline through the values, which is twice continuously
-    differentiable. It may also have several arguments.
+    differentiable. Outside the grid, it is extrapolated linearly. It may also have several
+    arguments.
 
     Parameters
     ----------
@@ -180,7 +181,8 @@ class Table(PythonCallbackFunction):
     Raises
     ------
     TranscriptionError
-        If there are too few points, points do not rise, or the shape of the values does not match.
+        If there are too few points, points do not rise, a number is not finite, or the shape of the
+        values does not match.
     """
 
     def __init__(self, *grid: Any, **keywords: Any) -> None:
@@ -286,6 +288,11 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
         Name of the component that contains the call, for messages.
     uses : list of TableUse
         List to which the arguments of splines are added, with their ranges.
+
+    Raises
+    ------
+    TranscriptionError
+        If a function that needs numbers cannot be replaced by a spline: see `_sampled`.
     """
     function = node._fcn  # noqa: SLF001
     is_python = isinstance(function, PythonCallbackFunction)
@@ -317,8 +324,8 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    The result is also None if the values of the expression differ from those of the function at one
-    of a few random points.
+    The result is also None if the function fails, or if the values of function and expression
+    differ at one of 20 random points. The points are the same in every call.
 
     Parameters
     ----------
@@ -374,8 +381,8 @@ def _range(argument: Any) -> tuple[float, float]:
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
-    The number of samples is increased until the spline reproduces the function to a relative
-    accuracy of 1e-7.
+    The number of samples is increased until the relative error of the spline is at most 1e-7. The
+    error is that of `_largest_difference`.
 
     Parameters
     ----------
@@ -452,7 +459,7 @@ def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatA
 def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
     """Return the largest relative difference between a function and its spline.
 
-    The function and its spline are compared at random points in the range of the spline.
+    They are compared at 40 random points in the range of the spline, the same in every call.
 
     Parameters
     ----------

@@ -86,8 +86,8 @@ class Instance:
     ) -> float | Interpolant | Steps:
         """Return a parameter's value from the caller in a form that can be pickled.
 
-        A function of time becomes piecewise polynomials over the horizon. Numbers, `Interpolant`
-        and `Steps` objects are returned unchanged.
+        A function of time becomes an `Interpolant` over the horizon. Numbers, `Interpolant` and
+        `Steps` objects are returned unchanged. `name` is the parameter's name, for messages.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
@@ -132,8 +132,8 @@ class ModelValues:
         Parameters
         ----------
         overrides : mapping, optional
-            Values that replace the values in the model. A key is a Pyomo parameter or its full
-            name.
+            Values that replace the values in the model. A key is a mutable Pyomo parameter, a fixed
+            variable, or its full name. The value of any other component has no effect.
         horizon : (float, float), optional
             Start and end of the horizon; by default the ends of the continuous set. Both are among
             the returned parameters. If a static variable (a variable without time) determines the
@@ -142,7 +142,8 @@ class ModelValues:
         Raises
         ------
         TranscriptionError
-            If an override names no mutable parameter of the model, or a value is missing.
+            If an override names no component of the model, or a value is missing. Also if a value
+            is a function of time and the model has free times.
         """
         named = self.by_name(overrides)
         start, end = horizon or self.declared_horizon
@@ -178,6 +179,11 @@ class ModelValues:
                     f"parameters: {name!r} is not a component of the model; give the full name of "
                     "a mutable Param."
                 )
+            if self._source.is_constant(name):
+                raise TranscriptionError(
+                    f"parameters: {name!r} is a Param whose value is compiled into the equations; "
+                    "declare it with mutable=True to solve for another value."
+                )
             self._known.add(name)
         return named
 
@@ -205,14 +211,16 @@ class ModelValues:
         """Return the time-dependent data as a function of the fraction of the horizon.
 
         The data are the parameters over time, then the symbols in `Declarations.scheduled`. An
-        example of the latter is a coefficient that a rule changes at a given time.
+        example of the latter is a coefficient that a rule changes at a given time. At a jump, the
+        function returns the values just before it.
 
         Raises
         ------
         TranscriptionError
-            If a parameter over time has neither a rule nor a value from the caller. The returned
-            function also raises this error. It does so if a rule that branches on time returns an
-            expression that was unknown when the equations were compiled.
+            If a parameter over time has no value from the caller, and `LiveModel.signal` refuses
+            its values in the model. The returned function also raises this error. It does so if a
+            rule that branches on time returns an expression that was unknown when the equations
+            were compiled.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -241,7 +249,7 @@ class ModelValues:
 
         These are the declared times inside the horizon, and the times at which parameters or
         results of rules jump. Jumps of parameters given as `Steps` are left out. The fractions
-        rise.
+        rise. The result is empty if the model has no time-dependent data.
         """
         if not self._declared.has_signals:
             return ()
@@ -295,9 +303,10 @@ class ModelValues:
         return self._source.signal(slot)
 
     def fixed(self) -> dict[tuple[str, float], float]:
-        """Return the values of variables that a user fixed at members of the continuous set.
+        """Return the values of states that a user fixed at members of the continuous set.
 
-        The keys are (variable name, fraction of the horizon).
+        The keys are (variable name, fraction of the horizon). A TranscriptionError is raised if a
+        fixed state has no value.
         """
         first, last = self.declared_horizon
         slots = {s.name: s for s in self._declared.varying}

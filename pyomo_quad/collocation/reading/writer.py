@@ -83,7 +83,7 @@ class ExpressionWriter:
     leaf : callable
         Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
     named : callable, optional
-        Takes a named Pyomo expression and returns its replacement: a CasADi symbol or another Pyomo
+        Takes a named Pyomo expression and returns its replacement: a CasADi or another Pyomo
         expression. If the callable is not given or returns None, the definition of the named
         expression is translated.
 
@@ -227,7 +227,8 @@ class ExpressionWriter:
 def same_expression(first: Any, second: Any) -> bool:
     """Return whether two CasADi expressions are the same function of the same symbols.
 
-    Expressions with different trees are compared by their values at a few points.
+    Expressions with different trees are compared by their values at five random points, the same in
+    every call.
     """
     first, second = casadi.SX(first), casadi.SX(second)
     if casadi.is_equal(first, second, 1_000_000):
@@ -441,7 +442,8 @@ class TemplateWriter:
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
         """Return the parts of a rule's result as functions of time, and whether it is an equality.
 
-        The parts are lower bound, body and upper bound of a constraint, or a single expression.
+        The parts are lower bound, body and upper bound of a constraint, or a single expression. If
+        the rule needs its time as a number, a `Schedule` of the rule is added to `schedules`.
 
         Parameters
         ----------
@@ -520,6 +522,11 @@ class TemplateWriter:
 
         The symbol replaces the number in a rule such as ``m.x[t] == t``. The member is returned
         unchanged if it has no rule, or if its physical time depends on no free time.
+
+        Raises
+        ------
+        TranscriptionError
+            If the rule needs the physical time as a number although it depends on a free time.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -539,7 +546,10 @@ class TemplateWriter:
         return ConstraintData(expr=said)
 
     def is_scheduled(self, name: str) -> bool:
-        """Return whether the rule of a component branches on time or looks up numbers by time."""
+        """Return whether the rule of a component branches on time or looks up numbers by time.
+
+        `name` is the component's name with its index but without the time, such as ``limit[1]``.
+        """
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
@@ -624,7 +634,10 @@ class TemplateWriter:
         return casadi.SX(self.write(component[position], component.name, over_time=True))
 
     def leaf(self, data: Any) -> Any:
-        """Return the CasADi symbol of a Pyomo variable or parameter."""
+        """Return a Pyomo variable or parameter in CasADi symbols.
+
+        A TranscriptionError is raised for a value at a declared time inside an equation over time.
+        """
         if data is self._clock:
             return self.symbols.clock.time
         for time, parameter in self._instants.items():
@@ -715,7 +728,7 @@ class TemplateWriter:
                 f"{component.name}: an integral inside an equation over time is not supported; "
                 "declare it as a state."
             )
-        name = component.name if index is None else f"{component.name}[{index}]"
+        name = component.name if index is None else component[index].name
         if name not in self.integrals:
 
             def say(time: Any) -> Statement:
@@ -759,7 +772,8 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 def _as_numeric(statement: Statement) -> Statement:
     """Return a rule's result with the Pyomo parameter for physical time in place of a `TimeSymbol`.
 
-    A part of `statement` may be the symbol itself, for example a bound that equals the time.
+    Only parts that are the symbol itself are replaced, for example a bound that equals the time.
+    Inside an expression, Pyomo has already put the parameter in place of the symbol.
     """
     # The symbol is no Pyomo object.
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)

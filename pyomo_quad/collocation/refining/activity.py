@@ -89,8 +89,9 @@ def _changing(
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
     """Return for each element boundary of the mesh whether the problem requires it.
 
-    The start and the end of the horizon are required. So is every time at which a condition is
-    imposed, a variable is fixed, or a parameter jumps. The shape is (n_elements + 1,).
+    The start and the end of the horizon are required. So is every time at which a parameter jumps,
+    a variable is fixed, or a condition or the objective contains a value. The shape is
+    (n_elements + 1,).
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)

@@ -34,7 +34,8 @@ class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
     A smoothed control consists of straight lines between its means over the elements. If `is_still`
-    is True, it is instead a polynomial of low degree in each element.
+    is True, it is instead a polynomial of low degree in each element, clipped to the control's
+    limits.
 
     Attributes
     ----------
@@ -146,7 +147,8 @@ def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArr
     """Return the midpoint of each element, and the means of several functions over each element.
 
     `values` are the functions at the collocation points, shape (n_points, k). The midpoints are
-    fractions of the horizon, shape (n_elements,). The means have shape (n_elements, k).
+    fractions of the horizon, shape (n_elements,). For an element of degree 1, its end replaces the
+    midpoint. The means have shape (n_elements, k).
     """
     weights = mesh.quadrature_weights[:, None]
     columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])

@@ -118,9 +118,10 @@ class Allowance:
     ----------
     control_breach : float
         Tolerable violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)). A control with a larger violation is clipped, and the effect of clipping on
-        states and objective counts as error. A control with a smaller violation keeps its values,
-        and the effect of the violation on the states counts as error.
+        abs(bound)). A control with a larger violation is clipped to the bound widened by this
+        tolerance. The effect of clipping on states and objective counts as error. A control with a
+        smaller violation keeps its values, and the effect of the violation on the states counts as
+        error. A bound that varies with time clips no control.
     limit_breach : float
         Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If a
         violation is larger, the violation itself counts as error. If it is smaller, its effect on
@@ -160,7 +161,8 @@ class ErrorEstimate:
         scaled so that they can be compared with the tolerance for all errors.
     violation : ndarray, shape (n_elements,)
         Violation of path equations and bounds between the collocation points, relative to max(1,
-        abs(bound)).
+        abs(bound)). A violation within its tolerance counts by its estimated effect: see
+        `_breaches`.
     objective : ndarray, shape (n_elements,)
         Change of the objective that the state errors cause, computed with the costates.
         Extrapolated, and relative to the nominal magnitude of the objective

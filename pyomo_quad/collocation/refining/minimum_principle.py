@@ -47,13 +47,14 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     """Return a solution with controls that minimise the Hamiltonian, if they gain enough.
 
     At each collocation point, only one control is changed. States and costates are unchanged. The
-    gain is the decrease of the Hamiltonian, integrated over the horizon.
+    gain is the decrease of the Hamiltonian, integrated over the horizon. The multipliers of the
+    bounds of changed controls are zero in the result.
 
     Parameters
     ----------
     solution : Solution
     tolerance : float
-        The least gain that counts, relative to the objective.
+        The least gain that counts, relative to `Solution.nominal_objective`.
 
     Returns
     -------

@@ -5,7 +5,8 @@ Terms in this module (see docs/theory/refinement.md):
 - Damping: penalty on the distance between the controls and the smoothed controls of the previous
   mesh. Only controls that enter linearly are damped.
 - Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
-- Settled objective: its relative change since the previous mesh is at most half the tolerance.
+- Settled objective: its relative change since the previous mesh, or since an earlier mesh that met
+  the tolerance, is at most half the tolerance.
 - Restart: the refinement begins again from other controls, which are better by Pontryagin's
   principle.
 """
@@ -105,11 +106,11 @@ def refine(
     Returns
     -------
     Solution or JointSolution
-        Usually the last solution. If Pontryagin's principle shows better controls, the refinement
-        starts again from these controls. If this restart leads to no better solution, the solution
-        from before the restart is returned. The status is `converged`, `tolerance_not_met`, or the
-        status of the last solve if that failed or was interrupted. For `tolerance_not_met`, the
-        message gives the reason.
+        Usually the last solution. If there is one horizon and Pontryagin's principle shows better
+        controls, the refinement starts again from these controls. If this restart leads to no
+        better solution, the solution from before the restart is returned. The status is
+        `converged`, `tolerance_not_met`, or the status of the last solve if that failed or was
+        interrupted. For `tolerance_not_met`, the message gives the reason.
     """
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
@@ -143,11 +144,11 @@ class _Refinement(Generic[S]):
     start : Start
         Start of the next solve.
     before : tuple
-        The previous solution on each horizon; None before the first solve.
+        The previous solution on each horizon; None before the first solve and after a restart.
     records : list of MeshRecord
         One record per mesh.
     tried : list of str
-        Names of the solution strategies that were tried.
+        Name and status of each solution strategy that was tried; a restart has only its name.
     dampings : tuple
         Damping of the controls for each horizon; None for a horizon without damping.
     firmness : float
@@ -159,6 +160,8 @@ class _Refinement(Generic[S]):
     reached : _Reached, optional
         The solution that met the tolerance before the most recent restart; None before the first
         restart.
+    gap : float
+        Relative complementarity gap at which a solve with increased damping may stop.
     """
 
     solve: Callable[..., S]
@@ -253,7 +256,8 @@ class _Refinement(Generic[S]):
         """Add a solution to the history of the refinement, and pass it to the caller's callback.
 
         The result is a copy with the largest error of `errors` and the history. Each argument in
-        `more` is set as an attribute of the copy.
+        `more` is set as an attribute of the copy. If the callback returns False, the status of the
+        copy is interrupted.
         """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
@@ -266,7 +270,8 @@ class _Refinement(Generic[S]):
 
         The result is None if the refinement was restarted. Otherwise it is the final solution:
         either `accepted`, which meets the tolerance, or the solution kept at the previous restart
-        if that is better. `_doubted` marks the result if no further restart is allowed.
+        if that is better. `_doubted` marks the result if no further restart is allowed. With
+        several horizons, there is no restart.
         """
         # A further restart requires that the previous one improved the objective by more than the
         # tolerance. The rule makes the restarts end. Singular controls need it: their Hamiltonian
@@ -433,7 +438,7 @@ class _Refinement(Generic[S]):
         return None if is_same and is_met and not is_damped else tuple(finer)
 
     def _has_settled(self, solution: Outcome) -> bool:
-        """Return whether the objective has settled: changed little since the previous mesh.
+        """Return whether the objective has settled, by the change from `_objective_change`.
 
         `solution` is the solution on the present mesh, and holds the history of the objective.
         """
@@ -453,13 +458,11 @@ class _Refinement(Generic[S]):
                 f"iterations without progress; {_most_moved(solution, self.before)}start from a "
                 "better guess, or add a small cost of the squared controls to the objective."
             )
-        return solution.updated(
-            status=Status.TOLERANCE_NOT_MET,
-            message=(
-                f"refinement stopped after {len(records)} meshes with an estimated error of "
-                f"{error:.3g}, above the tolerance {self.tolerance:.3g}; {why}"
-            ),
-        )
+        found = f"an estimated error of {error:.3g}, above the tolerance {self.tolerance:.3g}"
+        if error <= self.tolerance:
+            found = f"an objective that has not settled to the tolerance {self.tolerance:.3g}"
+        message = f"refinement stopped after {len(records)} meshes with {found}; {why}"
+        return solution.updated(status=Status.TOLERANCE_NOT_MET, message=message)
 
     def _shown(self, solution: S) -> S:
         """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
@@ -475,8 +478,8 @@ class _Refinement(Generic[S]):
     def _expected_change(self) -> float | None:
         """Return the expected change of the objective from the present meshes to the next ones.
 
-        It is the previous change, in the unit of the objective; None on the first mesh and directly
-        after a restart.
+        It is the previous change (see `_objective_change`), in the unit of the objective. It is
+        None on the first two meshes and directly after a restart.
         """
         last = self.before[0]
         if last is None:
@@ -488,7 +491,8 @@ class _Refinement(Generic[S]):
         """Return the relative complementarity gap at which the next solve may stop.
 
         The result is 0.3 e, limited to the range from 0.2 tolerance to 1e-3. The error e is the
-        largest relative error of objective and integrals in `errors`.
+        largest relative error of objective and integrals in `errors`. If bounds are imposed between
+        the points, e is at least the last relative change of the objective.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -562,6 +566,9 @@ class _MeshSolve(Search[S], Generic[S]):
 
     def attempt(self, strategy: Strategy) -> S:
         """Solve on the meshes of this object with one solution strategy, and return the result.
+
+        A strategy that increases the damping changes the attribute `dampings`, and sets `change` to
+        None.
 
         Parameters
         ----------
@@ -719,8 +726,8 @@ def _cut_off(reached: _Reached[S]) -> S:
     """Return the result of a refinement that was restarted and then stopped above its tolerance.
 
     The result is the solution from before the restart, marked by `_doubted`. Its error becomes
-    max(its own estimate, `reached.earned`), where `earned` is the improvement of the objective by
-    the restart before that.
+    max(its own estimate, `reached.earned`), where `earned` is the relative improvement of the
+    objective by the previous restart.
     """
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))

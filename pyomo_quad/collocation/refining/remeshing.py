@@ -58,9 +58,9 @@ class RefinementOptions:
         meet the tolerance. Each solve reduces the complementarity gap (the error that Ipopt's
         barrier leaves in the objective) only to a fraction of the error on the previous mesh.
     on_mesh : callable, optional
-        Called after each finished mesh with the solution, which includes error estimate and
-        history. If the function returns False, the refinement is interrupted. The result is then
-        the solution on the most accurate mesh.
+        Called after each mesh on which Ipopt converged, with the solution, which includes error
+        estimate and history. If the function returns False, the refinement is interrupted. The
+        result is then the solution on the most accurate mesh, with the status interrupted.
     known : Solution, optional
         Converged solution for the same parameters. It replaces the solve on the first mesh, if that
         mesh is the mesh of `known` and there is a warm start.

@@ -1,5 +1,8 @@
 """What the engine refuses before Ipopt starts: one line each, naming the component."""
 
+import pickle
+import re
+
 import pytest
 from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import (
@@ -369,6 +372,18 @@ def test_slope_that_is_infinite_at_the_guess(m, kind):
 
 def test_unknown_parameter(m):
     refused(m, "parameters: 'ceiling' is not a component of the model", parameters={"ceiling": 1})
+
+
+@pytest.mark.parametrize("is_pickled", [False, True])
+def test_a_constant_parameter_takes_no_other_value(m, is_pickled):
+    m.weight = Param(initialize=2.0)
+    m.share = Param([1, 2], initialize=0.5)
+    problem = compile(m)
+    problem = pickle.loads(pickle.dumps(problem)) if is_pickled else problem
+    for name in ("weight", "share[1]"):
+        message = rf"parameters: '{re.escape(name)}' is a Param whose value is compiled"
+        with pytest.raises(TranscriptionError, match=message):
+            problem.solve(parameters={name: 3.0})
 
 
 def test_horizon_that_ends_before_it_starts(m):

@@ -8,7 +8,7 @@ from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import ConcreteModel, Constraint, Objective, Var, units
 
 from pyomo_quad import collocation
-from pyomo_quad.collocation import Mesh, Status, TranscriptionError, diagnose
+from pyomo_quad.collocation import Mesh, Status, TranscriptionError, diagnose, solve
 
 MESH = Mesh.uniform(8, 3)
 
@@ -81,6 +81,17 @@ def test_active_limits_are_listed_with_their_value():
     active = {limit.name: limit for limit in diagnose(solution).active}
     assert abs(active["strongest"].limit) == pytest.approx(1.0)
     assert 0.5 < active["strongest"].share <= 1.0
+
+
+def test_both_sides_of_an_equality_are_one_active_limit():
+    model = car(duration=1.0)
+    for variable in (model.x, model.v):
+        variable[1.0].unfix()
+    model.link = Constraint(expr=model.x[1.0] - model.x[0.0] == 1.0)
+    model.rest = Constraint(expr=model.v[1.0] - model.v[0.0] == 0.0)
+    active = {limit.name: limit for limit in diagnose(solve(model, mesh=MESH)).active}
+    assert active["rest"].share == 1.0
+    assert all(limit.share <= 1.0 for limit in active.values())
 
 
 def test_family_without_limits_is_refused(failed):

@@ -3,13 +3,15 @@
 import itertools
 import tempfile
 
+import numpy as np
 import pytest
-from pyomo.dae import Integral
+from pyomo.dae import ContinuousSet, DerivativeVar, Integral
 from pyomo.environ import (
     ConcreteModel,
     Constraint,
     Objective,
     RangeSet,
+    Set,
     SolverFactory,
     TransformationFactory,
     Var,
@@ -19,7 +21,7 @@ from pyomo.environ import (
 )
 from pyomo.opt import TerminationCondition
 
-from pyomo_quad.collocation import RefinementOptions, TranscriptionError
+from pyomo_quad.collocation import RefinementOptions, Status, TranscriptionError, solve
 from pyomo_quad.collocation.program import ipopt, linear_solvers
 from tests.problems import bryson_denham, double_integrator, hyper_sensitive
 from tests.starts import assert_begins_at, noted_starts
@@ -216,6 +218,44 @@ def test_a_mesh_that_is_too_coarse_ends_otherwise(solver):
     results = solver.solve(bryson_denham.build(), tolerance=1e-9, refinement=few)
     assert results.solver.termination_condition is TerminationCondition.other
     assert "refinement stopped after 1 meshes" in results.solver.message
+
+
+def test_a_refinement_that_meets_its_tolerance_but_not_the_objective_says_so():
+    few = RefinementOptions(max_meshes=1)
+    m = double_integrator.build()
+    m.u.setlb(-4.5)
+    m.u.setub(4.5)
+    solution = solve(m, tolerance=0.1, refinement=few)
+    assert solution.status is Status.TOLERANCE_NOT_MET
+    assert solution.history[-1].error <= 0.1
+    assert "an objective that has not settled to the tolerance 0.1;" in solution.message
+
+
+def test_an_integral_with_two_indices_is_loaded(solver):
+    m = ConcreteModel()
+    m.t = ContinuousSet(bounds=(0, 1))
+    m.x = Var(m.t, initialize=1.0)
+    m.dx = DerivativeVar(m.x, wrt=m.t)
+    m.decay = Constraint(m.t, rule=lambda m, t: m.dx[t] == -m.x[t])
+    m.x[0].fix(1.0)
+    m.one, m.two = Set(initialize=[1]), Set(initialize=[2])
+    m.total = Integral(m.one, m.two, m.t, wrt=m.t, rule=lambda m, _i, _j, t: m.x[t])
+    m.objective = Objective(expr=m.total[1, 2])
+    solver.solve(m, tolerance=1e-8)
+    assert value(m.total[1, 2]) == pytest.approx(1.0 - np.exp(-1.0), rel=1e-8)
+
+
+def test_states_without_effect_begin_at_their_own_initial_conditions():
+    m = double_integrator.build()
+    m.part = Set(initialize=[1, 2])
+    m.seen = Var(m.part, m.t)
+    m.seeing = DerivativeVar(m.seen, wrt=m.t)
+    m.sight = Constraint(m.part, m.t, rule=lambda m, i, t: m.seeing[i, t] == i)
+    m.begun = Constraint(m.part, rule=lambda m, i: m.seen[i, 0] == 3 * i)
+    solution = solve(m)
+    for i in (1, 2):
+        assert solution.value(m.seen, 0.0, index=i) == pytest.approx(3.0 * i)
+        assert solution.value(m.seen, 1.0, index=i) == pytest.approx(4.0 * i)
 
 
 def test_an_unbounded_program_says_so(solver):

@@ -8,9 +8,9 @@ import xarray as xr
 from scipy.optimize import minimize_scalar
 
 from pyomo_quad import processes
-from pyomo_quad.collocation import Mesh
+from pyomo_quad.collocation import Mesh, SolveError
 from pyomo_quad.flight import PlanStatus
-from pyomo_quad.flight.corridors import Corridors, has_corridors
+from pyomo_quad.flight.corridors import Corridors, WindMap, has_corridors, steady_power
 from pyomo_quad.flight.route_flights import RouteFlights
 from pyomo_quad.flight.routes import NoRouteError, Route, journeys_of
 from pyomo_quad.scenario import load_scenario
@@ -110,6 +110,37 @@ def test_corridors_keep_out_of_zones_and_of_places_without_wind(tmp_path):
 def test_only_a_field_that_changes_over_the_ground_is_searched(tmp_path):
     assert not has_corridors(mission_in(tmp_path, lambda _x, _y: (5.0, 1.0)))
     assert has_corridors(mission_in(tmp_path, lambda _x, y: (0.01 * y, 0.0)))
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+def test_a_gap_in_an_even_field_is_passed_unless_the_wind_beside_it_holds(tmp_path, is_held):
+    def lacking(x, y):
+        return np.where((x > 90) & (x < 110) & (y < 30), np.nan, 5.0), 1.0
+
+    told = mission_in(tmp_path, lacking)
+    if is_held:
+        told = told.with_values({"wind.beyond": "hold"})
+    assert has_corridors(told) is not is_held
+    within = WindMap(told).at(np.array([[100.0, 15.0, 10.0]]), np.zeros(1))
+    np.testing.assert_allclose(within, [[5.0, 1.0]] if is_held else [[np.nan, np.nan]])
+
+
+def test_without_hover_every_airspeed_takes_infinite_power():
+    def trim(*_):
+        raise SolveError("none")
+
+    assert np.isinf(steady_power(SimpleNamespace(trim=trim))(np.array([0.0, 5.0]))).all()
+
+
+def test_steady_power_is_that_of_the_trims_and_infinite_beyond_them():
+    def trim(velocity, _near):
+        if velocity[0] > 12.0:
+            raise SolveError("none")
+        return SimpleNamespace(power_W=100.0 + velocity[0])
+
+    power = steady_power(SimpleNamespace(trim=trim))
+    np.testing.assert_allclose(power(np.array([0.0, 3.7, 12.0])), [100.0, 103.7, 112.0])
+    assert power(12.1) == np.inf
 
 
 def test_places_without_a_way_between_them_have_no_corridor(tmp_path):

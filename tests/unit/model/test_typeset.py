@@ -8,6 +8,7 @@ from matplotlib.mathtext import MathTextParser
 from pyomo.environ import Constraint, units
 
 from pyomo_quad.model import build_model
+from pyomo_quad.model.screening import inspect_model
 from pyomo_quad.model.typeset import EQUATION_TABLE, typeset_equations
 from pyomo_quad.scenario import PowerModel, WindCoupling
 from tests.declared_model import scenario
@@ -69,6 +70,15 @@ def test_every_equation_is_latex(power, coupling):
         # Matplotlib knows this sign by its longer name alone.
         latex = equation.latex.replace(r"\le ", r"\leq ")
         parser.parse(f"${latex}$")
+
+
+def test_a_limit_in_a_hover_is_typeset_and_counted_although_it_holds_at_few_times():
+    points = [{"position": [1.0, 2.0, 3.0]}, {"position": [4.0, 5.0, 6.0], "hold": 2.0}]
+    model = build_model(scenario(mission={"waypoints": points}))
+    plain = build_model(scenario(mission={"waypoints": points[:1]}))
+    assert "mission.hold_distance" in texts(model)
+    assert "mission.hold_distance" not in texts(plain)
+    assert inspect_model(model).path_limits > inspect_model(plain).path_limits
 
 
 def test_a_constraint_of_the_user_appears_under_its_name():

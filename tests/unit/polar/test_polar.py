@@ -9,7 +9,8 @@ from scipy.optimize import minimize_scalar
 
 from pyomo_quad.cli import main
 from pyomo_quad.cli.endings import ExitCode
-from pyomo_quad.polar.polar import SteadyCurve
+from pyomo_quad.collocation import SolveError
+from pyomo_quad.polar.polar import SteadyCurve, steady_curve
 from tests.agreement import plain_quadrotor as plain
 from tests.declared_model import scenario
 from tests.flights import PLANNER
@@ -53,6 +54,22 @@ def test_speed_in_wind_is_that_of_a_search_over_airspeed_vectors(curve, angle):
     least = minimize_scalar(energy_per_metre, bounds=(1.0, 30.0), method="bounded")
     assert found.ground_speed == pytest.approx(least.x, rel=1e-3)
     assert found.energy_per_metre == pytest.approx(least.fun, rel=1e-5)
+
+
+def test_a_cross_wind_faster_than_the_vehicle_lets_it_go_nowhere(curve):
+    wind = 1.05 * curve.airspeeds[-1] / np.sin(np.radians(70.0))
+    best = curve.best_over_ground(wind, np.radians(70.0))
+    assert (best.ground_speed, best.endurance) == (0.0, 0.0)
+
+
+def test_a_vehicle_that_may_only_hover_has_no_curve():
+    told = scenario(
+        limits={"pitch_max": 1e-3, "roll_max": 1e-3},
+        vehicle={"drag_linear": 0.3},
+        wind={"coupling": "drag"},
+    )
+    with pytest.raises(SolveError, match=r"level flight at 0\.5 m/s is beyond a limit"):
+        steady_curve(told, PLANNER.steady_flight(told), 0.8)
 
 
 def test_a_wind_faster_than_the_vehicle_lets_it_go_nowhere_against(curve):

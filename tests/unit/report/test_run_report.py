@@ -158,6 +158,15 @@ def test_without_a_rival_the_optimum_stands_alone(tmp_path):
 
 
 @pytest.mark.usefixtures("_no_figures")
+def test_a_plan_that_ends_far_from_its_goal_is_not_compared(tmp_path):
+    run = synthetic_run()
+    run.comparison.loc[run.comparison["flight"] == "optimal", "arrived"] = False
+    text = write(tmp_path, run)
+    assert "it ends too far from the goal, or breaks a limit, for a comparison" in text
+    assert "no other flight arrived" not in text
+
+
+@pytest.mark.usefixtures("_no_figures")
 def test_failed_run_is_never_called_a_success(tmp_path):
     run = synthetic_run()
     run.plan = synthetic_plan(run.scenario, run.flights[0], PlanStatus.INFEASIBLE, "no way")

@@ -271,3 +271,17 @@ def test_a_strangers_geojson_is_refused_in_one_line(tmp_path_factory, content):
     with pytest.raises(ScenarioError, match=r"^airspace\.file") as caught:
         read_footprints(file, "airspace.file", origin)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("repeated", [0, 2, 3])
+def test_a_corner_given_twice_in_a_row_changes_no_ring(repeated):
+    corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]]
+    twice = [*corners[: repeated + 1], *corners[repeated:]]
+    rings = [KeepOut(**polygon(held)).ring(0.5) for held in (corners, twice)]
+    np.testing.assert_allclose(rings[1], rings[0])
+
+
+def test_a_closed_ring_is_that_of_its_corners():
+    corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0], [0.0, 3.0]]
+    rings = [KeepOut(**polygon(held)).ring(0.5) for held in (corners, [*corners, corners[0]])]
+    assert Polygon(rings[1]).equals(Polygon(rings[0]))

@@ -63,6 +63,17 @@ def test_sensitivities_of_a_grid_are_its_range_through_the_middle():
     assert second.swing == 20.0
 
 
+def test_the_central_case_is_that_of_the_base_scenario_for_an_entry_of_a_list_too():
+    first, second = "mission.goal.position[0]", "b"
+    place = Dimension(paths=(first,), steps=((1.0,), (5.0,), (9.0,)))
+    base = {"mission": {"goal": {"position": [1.0, 2.0, 3.0]}}, "b": 10.0}
+    frame = grid().rename(columns={"a": first}).query("name == 'calm'")
+    frame[first] = frame[first].map({1.0: 1.0, 2.0: 5.0, 3.0: 9.0})
+    found = SweepResults(design(place, B, base=base), frame).sensitivities("y")
+    (of_b,) = (one for one in found if one.field == second)
+    assert (of_b.least, of_b.greatest) == (100.0, 120.0)
+
+
 def test_sensitivity_to_an_angle_does_not_hang_on_where_the_circle_was_cut():
     angles = [0.0, 90.0, 180.0, 270.0]
     around = Dimension(paths=("angle",), steps=tuple((angle,) for angle in angles))
