@@ -2,7 +2,7 @@
 
 import json
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
@@ -225,7 +225,7 @@ def init(
     ):
         if file == schema_file and file.exists():
             continue
-        write_new(file, content)
+        write_new({file: content})
     for named, source in files_beside(template).items():
         target = Path(named)
         if not target.exists():
@@ -236,26 +236,33 @@ def init(
     return ExitCode.VERIFIED
 
 
-def write_new(file: Path, text: str) -> None:
-    """Write a text to a new file.
+def write_new(texts: Mapping[Path, str]) -> None:
+    """Write texts to new files, all of them or none.
 
     Parameters
     ----------
-    file : Path
-        File to create.
-    text : str
-        Content, written as UTF-8.
+    texts : mapping
+        Content of each file to create, written as UTF-8.
 
     Raises
     ------
     ScenarioError
-        If the file exists already.
+        If one of the files exists already.
     """
+    written: list[Path] = []
     try:
-        with file.open("x", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-    except FileExistsError:
-        raise ScenarioError(f"{file}: exists already; give another NAME or move it.") from None
+        for file, text in texts.items():
+            with file.open("x", encoding="utf-8", newline="\n") as stream:
+                written.append(file)
+                stream.write(text)
+    except OSError as error:
+        for file in written:
+            file.unlink(missing_ok=True)
+        if not isinstance(error, FileExistsError):
+            raise
+        raise ScenarioError(
+            f"{error.filename}: exists already; give another NAME or move it."
+        ) from None
 
 
 _REQUIRED = ("name", "mission")

@@ -126,7 +126,7 @@ def import_(
 
     read = read_mission(file, name=name, vehicle=vehicle, payload_kg=payload)
     out = Path(f"{read.scenario.name}.toml")
-    write_new(out, read.text)
+    write_new({out: read.text})
     if not quiet:
         mission, airspace = read.scenario.mission, read.scenario.airspace
         fence = "a fence" if airspace.keep_in is not None else "no fence"

@@ -83,8 +83,11 @@ def vehicle(
     known = _known(name, mass, propeller, arm, kv, battery, rotors)
     known = _with_hover(known, hover_current, hover_voltage)
     estimated = estimate_vehicle(known)
-    write_new(out / f"{name}.toml", vehicle_text(estimated, _title(known)))
-    write_new(out / pack_name(name), pack_text(estimated))
+    texts = {
+        f"{name}.toml": vehicle_text(estimated, _title(known)),
+        pack_name(name): pack_text(estimated),
+    }
+    write_new({out / file: text for file, text in texts.items()})
     if not quiet:
         with raise_on_interrupt():
             band = power_band(estimated)

@@ -154,7 +154,15 @@ def test_the_command_says_what_helps_most(tmp_path, capsys):
         assert part in said
     assert example_mission("own").splitlines()[1] in said
     assert main(told) == ExitCode.BAD_INPUT
-    assert "own.toml: is there already" in capsys.readouterr().err
+    assert "own.toml: exists already" in capsys.readouterr().err
+
+
+def test_both_files_of_a_vehicle_are_written_or_none(tmp_path, capsys):
+    (tmp_path / "own_pack.toml").write_text("mine")
+    told = ["vehicle", "own", *ARGUMENTS, "--out", str(tmp_path), "--quiet"]
+    assert main(told) == ExitCode.BAD_INPUT
+    assert "own_pack.toml: exists already; give another NAME" in capsys.readouterr().err
+    assert [file.name for file in tmp_path.iterdir()] == ["own_pack.toml"]
 
 
 @pytest.mark.parametrize(
