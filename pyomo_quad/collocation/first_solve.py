@@ -202,8 +202,8 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     simulate : callable, optional
         Function without arguments that simulates the model from its initial states and returns the
         trajectory. The function returns None if the model has controls or free initial states,
-        whose values a simulation would need. The attribute itself is None unless the caller gave a
-        tolerance, but neither a guess nor a warm start.
+        whose values a simulation would need. The attribute itself is None if the caller gave a
+        guess, a warm start, or no tolerance.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None

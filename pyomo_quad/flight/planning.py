@@ -123,8 +123,8 @@ class Planner(Problems):
         """Solve for a flight in nearly the least duration of the mission.
 
         Plans are made for durations that decrease towards the least duration. The result is the
-        last verified plan, or the first plan if none is verified. If the minimum-time problem
-        fails, the mission is solved from `start` instead, with status "not converged".
+        last verified plan, or the first plan if none is verified. If no least duration is found,
+        the result is a plan for least energy, whose status is set to "not converged".
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

@@ -186,8 +186,8 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is the bare polynomial. If the rotors may brake harder than with the returned acceleration,
-    the energy of flights has no minimum.
+    f_r is a polynomial without lower limit. If the rotors may brake harder than with the returned
+    acceleration, the energy of flights has no minimum.
 
     Parameters
     ----------

@@ -248,8 +248,8 @@ class Pairs:
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
         """Evaluate the function H and its parts at n pairs of thrust and airspeed.
 
-        Where the margin is negative, H and power are reduced by the excess (see `_of_rotors`). They
-        are then lower bounds for rotors with unequal speeds, too.
+        Rotors with unequal speeds may take less power than rotors with equal speeds. H and power
+        are lower bounds for both. Margin and excess are those of the method `_of_rotors`.
 
         Parameters
         ----------

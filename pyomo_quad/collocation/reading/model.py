@@ -524,8 +524,8 @@ class ModelReader:
     def declarations(self, cost: Any, objective: Any) -> Declarations:
         """Return the model in CasADi symbols: variables, parameters, constraints and objective.
 
-        Call this method only once: it appends fixed values, bounds at single times, and the order
-        of free times to the attribute `conditions`.
+        Call this method only once, because it appends to the attribute `conditions`: fixed values,
+        bounds at single times, and inequalities that keep free times in their order.
 
         Parameters
         ----------

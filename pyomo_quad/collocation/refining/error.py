@@ -619,10 +619,10 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return for each element ``min(n * error, sum of the errors of all n elements)``.
+    """Return for each element the error of a horizon whose n elements all had its error.
 
-    This extrapolates the error of an element to the whole horizon, if the errors of the elements
-    add up. `shares` has the errors, with one entry per element along the first axis.
+    The result is ``n * error``, but at most the sum of the errors of all elements. `shares` has the
+    errors, with one entry per element along the first axis.
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
