@@ -169,13 +169,6 @@ def test_naming_the_commands_imports_no_solver():
     assert slow.isdisjoint(modules_after("import pyomo_quad.cli.commands"))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["pyomo.environ", "pyomo.core", "scipy.special"])
-def test_solving_imports_neither_statistics_nor_plots(name):
-    slow = {"scipy.stats", "matplotlib", "plotly"}
-    assert slow.isdisjoint(modules_after(f"import {name}\nimport pyomo_quad.cli.solving"))
-
-
 @pytest.mark.lengthy
 def test_a_solve_without_figures_imports_only_what_it_uses(tmp_path):
     arguments = ["solve", PAPER_CALM, *QUICK, "--quiet", "--figures", "none", "--out"]

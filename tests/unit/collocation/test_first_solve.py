@@ -256,5 +256,8 @@ def test_a_curved_limit_does_not_hold_up_a_warm_start():
     coarse = problem.solve(mesh=Mesh.uniform(40, 4))
     finer = problem.solve(mesh=Mesh.uniform(80, 5), warm_start=coarse)
     assert finer.is_converged
+    # A cold start may end at a local optimum that costs several times as much; Betts (2010) has
+    # 2030.856 on a finer mesh.
     cold = problem.solve(mesh=finer.mesh)
-    assert finer.objective == pytest.approx(cold.objective, rel=1e-6)
+    assert finer.objective <= (1 + 1e-6) * cold.objective
+    assert finer.objective == pytest.approx(2030.856, rel=0.01)
