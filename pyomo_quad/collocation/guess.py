@@ -245,7 +245,7 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Set the free times in the initial point `z` such that all times increase.
+        """Set the free times in the initial point `z`, in increasing order.
 
         A free time is a static variable of the model: a physical time that the solve determines. If
         neither guess nor model gives its value, it begins at the time declared in the continuous

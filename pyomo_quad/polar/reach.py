@@ -296,8 +296,9 @@ def _boundary_on(
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])
     # The wind stops the vehicle at the first place to which a metre takes an infinite charge.
-    passable = len(used) if np.isfinite(used).all() else int(np.argmin(np.isfinite(used)))
-    reached = float(np.interp(1.0, used[:passable], along[:passable]))
+    # Sums stay infinite from there on.
+    is_passable = np.isfinite(used)
+    reached = float(np.interp(1.0, used[is_passable], along[is_passable]))
     unknown = np.flatnonzero(~is_known)
     known_to = float(along[max(unknown[0] - 1, 0)]) if unknown.size else np.inf
     distance = min(reached, known_to)

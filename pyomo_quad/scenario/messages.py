@@ -333,7 +333,7 @@ class PyomoQuadError(Exception):
 
 
 class ScenarioError(PyomoQuadError, ValueError):
-    """Error: an input of the user is invalid, such as a scenario, data file, report or option."""
+    """Error for an invalid input of the user: a scenario, data file, report or option."""
 
 
 class FeasibilityError(PyomoQuadError, ValueError):
