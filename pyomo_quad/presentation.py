@@ -1,14 +1,11 @@
 """Registry of the presenter, the module that draws figures and writes reports.
 
-The presenter is the module `pyomo_quad.report.presenting`. Methods such as `Plan.plot` need it, but
-their modules must not import it, for two reasons:
+The presenter is the module `pyomo_quad.report.presenting`. Methods such as `Plan.plot` reach it
+through the function `presenter` of this module. Their modules must not import it: the import of
+matplotlib takes time, and the presenter's package imports the packages of plans and runs, so that
+the imports would be circular.
 
-- The presenter imports matplotlib, which takes time.
-- The presenter's package imports the packages of plans and runs. The imports would therefore be
-  circular.
-
-Therefore `pyomo_quad/__init__.py` registers here a function that imports the presenter. The methods
-call the function `presenter` of this module, which calls the registered function.
+Therefore `pyomo_quad/__init__.py` registers here a function that imports the presenter.
 """
 
 from collections.abc import Callable
@@ -130,8 +127,8 @@ def register_presenter(supply: Callable[[], Presenter]) -> None:
     Parameters
     ----------
     supply : callable
-        Function without arguments that returns a `Presenter`. The function imports matplotlib,
-        which takes time. It is therefore called only when the first figure or report is requested.
+        Function without arguments that returns a `Presenter`. It is called whenever a figure or
+        report is requested.
     """
     _supply[:] = [supply]
 

@@ -44,9 +44,8 @@ def side_by_side(
     """Context manager: run tasks in parallel, in forked copies of this process and in this process.
 
     The copies start at the beginning of the ``with`` block and are killed at its end. Where a fork
-    is not safe (see `cores`), all tasks run in this process. A task runs again in this process if
-    it fails or takes too long in a copy. The second run raises the error of a failing task. If a
-    result cannot be pickled, the task also runs again.
+    is not safe (see `cores`), all tasks run in this process. A task without a result from a copy
+    runs again in this process, and any error is raised here.
 
     Parameters
     ----------
@@ -56,15 +55,14 @@ def side_by_side(
         Whether the tasks call BLAS. If they call BLAS with several threads, all tasks run in this
         process.
     is_stopped : callable, optional
-        Function that returns True after a stop, for example by the user. After a stop, this process
-        calls the unfinished tasks itself. A task that is called after a stop should therefore
-        return at once.
+        Function that returns True after a stop, for example by the user. This process then calls
+        the unfinished tasks itself, so each task must return at once after a stop.
 
     Yields
     ------
     callable
-        Function without arguments. It runs tasks that no copy has taken, waits for the copies, and
-        returns the results in the order of `tasks`.
+        Function without arguments that finishes all tasks, and returns the results in the order
+        of `tasks`.
     """
     began = monotonic()
     queue, entrance = os.pipe()
@@ -111,11 +109,7 @@ def side_by_side(
 
 
 def _have_ended(answers: Sequence[Future[Any]]) -> bool:
-    """Return whether all forked copies of this process have ended their tasks.
-
-    `answers` are the futures of the copies' results. The function waits for the results for at most
-    a tenth of a second.
-    """
+    """Return whether all copies have ended their tasks, after at most a tenth of a second."""
     return not wait(answers, _MOMENT_S).not_done
 
 
@@ -140,7 +134,7 @@ def process_pool(count: int) -> Iterator[Executor]:
     """Context manager: yield a pool of ``count`` new (spawned) processes.
 
     Each process uses one thread. All processes are killed at the end of the ``with`` block, even
-    while they work. Environment variables change in the block (see `environment_of_workers`).
+    while they work. The block changes environment variables (see `environment_of_workers`).
     """
     with environment_of_workers():
         pool = pool_of(count)
@@ -179,10 +173,10 @@ _work: Callable[[], Any] | None = None
 
 
 def _begin(work: Callable[[], Any] | None) -> None:
-    """Initialise a process of a pool; each process calls this function once, at its start.
+    """Initialise a process of a pool, which calls this function once at its start.
 
-    The process stores `work`, the function that it will call later, or None. After this call, the
-    process ends at the signal SIGTERM, and when its parent process ends.
+    The process stores the function `work`. From now on it ends at SIGTERM, and when its parent
+    ends.
     """
     global _work  # noqa: PLW0603  a copy inherits its work, which cannot be pickled
     _work = work

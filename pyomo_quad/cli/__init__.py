@@ -1,7 +1,7 @@
 """Command line `pyomo-quad`.
 
-The commands are imported late, because their import takes up to a second. Handlers for signals such
-as Ctrl-C are installed first. Ctrl-C therefore also ends the process during the import.
+The function `main` installs handlers for signals such as Ctrl-C before it imports the commands. The
+import takes up to a second, and Ctrl-C ends the process during the import, too.
 """
 
 from collections.abc import Sequence
@@ -27,8 +27,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Notes
     -----
-    If `arguments` is None, the function also changes settings of the process. Signals such as
-    Ctrl-C then end the process, and `startup.own_process` makes the process faster.
+    If `arguments` is None, the function also changes settings of the process: signal handlers (see
+    `end_on_signals`), BLAS threads and garbage collection (see `startup.own_process`).
     """
     if arguments is None:
         end_on_signals()

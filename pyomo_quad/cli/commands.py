@@ -209,32 +209,7 @@ def _flown(
 ) -> tuple[Scenario, "Flight"]:
     """Simulate the flight that the options of the command `fly` describe.
 
-    The mission is planned first if the flight follows a plan, or if the mission's duration is free.
-    Model-predictive control also needs a plan if the time of a waypoint is free.
-
-    Parameters
-    ----------
-    planner : Planner
-        Planner of the scenario. It makes all plans, and has the vehicle's equations of motion.
-    scenario : Scenario
-        Mission and wind.
-    controller : Controller
-        Controller of the flight.
-    plant : Plant
-        Vehicle model.
-    followed : Reference or None
-        Reference trajectory that the controller follows; None for model-predictive control, which
-        follows no reference.
-    knowledge : Knowledge
-        Information on the wind that model-predictive control uses.
-    watch : Stopwatch
-        Stopwatch that records the time of the solve.
-
-    Returns
-    -------
-    tuple of (Scenario, Flight)
-        The mission that was flown, and the flight. If a plan was made, the mission takes its
-        duration and the times of its waypoints from the plan.
+    If a plan was made, the returned scenario has its duration and waypoint times.
 
     Raises
     ------
@@ -247,6 +222,8 @@ def _flown(
     is_untimed = any(waypoint.at is None for waypoint in scenario.mission.waypoints)
     is_replanned, plan = controller is Controller.MPC, None
     with Deadline(scenario):
+        # A plan gives the reference trajectory, a free duration, and the waypoint times that
+        # model-predictive control needs.
         if followed is Reference.PLAN or scenario.mission.is_free or (is_replanned and is_untimed):
             with watch.phase("solve"):
                 plan = flying.make_plan(planner, scenario)
@@ -484,11 +461,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Name and arguments of the command; by default the command-line arguments of the process. By
-        default, the function also changes the process: it replaces closed standard streams. A
-        signal that ends the process then also ends its child processes.
+        Name and arguments of the command; by default the command-line arguments of the process.
     """
     if arguments is None:
+        # The process runs only this command. A signal that ends it also ends its child processes.
         before_the_end(_end_other_processes)
         before_the_end(discard_unfinished)
         if not claim_streams():

@@ -51,13 +51,9 @@ class SolveStopped(Stopped):
 class Interruption:
     """Record of a user's request to stop the running command.
 
-    The first signal, such as Ctrl-C, sets the attribute `is_requested` and starts a timer that ends
-    the process:
-
-    - after half a second if the attribute `has_result` is False;
-    - after one minute if it is True, so that the command can write its report.
-
-    After a second signal, the process ends within half a second.
+    The first signal, such as Ctrl-C, sets `is_requested` and starts a timer that ends the process.
+    The timer takes one minute if `has_result` is True, so that the command can write its report.
+    Otherwise, and after a second signal, it takes half a second.
     """
 
     def __init__(self) -> None:
@@ -69,8 +65,7 @@ class Interruption:
     def request(self, _signal: int, _frame: FrameType | None) -> None:
         """Handle a signal: record the request, and start a timer that ends the process.
 
-        A second signal shortens the timer to half a second. In a process that also runs other code,
-        such as tests, no timer is set.
+        In a process that also runs other code, such as tests, no timer is started.
 
         Raises
         ------
@@ -89,8 +84,10 @@ def end_on_signals() -> None:
     """Install signal handlers: Ctrl-C, SIGTERM and SIGHUP then end this process at once.
 
     The exit status is `ExitCode.INTERRUPTED`. A SIGHUP that is ignored, as under `nohup`, stays
-    ignored. The handler of SIGALRM marks a process that runs only the command; see `_enforce`.
+    ignored.
     """
+    # SIGALRM is the signal of the timer. Its handler tells `_enforce` that this process runs only
+    # the command.
     for number in (*_ending_signals(), signal.SIGALRM):
         signal.signal(number, _end)
 
@@ -102,10 +99,9 @@ def _ending_signals() -> list[signal.Signals]:
 
 
 def leave(status: int) -> int:
-    """Return `status`, the exit status of the command, at the end of its process.
+    """Return the exit status of the command, or end the process at once with this status.
 
-    If a signal has started the timer of `Interruption`, this function does not return. It ends the
-    process at once, with this status.
+    The process ends at once if a signal has started the timer of `Interruption`.
     """
     if signal.getitimer(signal.ITIMER_REAL)[0] > 0.0:
         os._exit(status)
@@ -116,7 +112,7 @@ def leave(status: int) -> int:
 def record_last_message() -> None:
     """Record that the command has printed its last message.
 
-    After this call, the timer of `Interruption` ends the process without a message.
+    If the timer of `Interruption` ends the process after this call, it prints no further message.
     """
     global _has_last_message  # noqa: PLW0603  a fact about the process
     _has_last_message = True
@@ -153,7 +149,8 @@ def raise_on_interrupt() -> Iterator[None]:
     """Context manager: stop the ``with`` block at the first signal.
 
     The signal raises `KeyboardInterrupt` inside the block, so that the block can clean up. Later
-    signals are ignored. A process that runs only the command ends after half a second.
+    signals are ignored. If the process runs only the command, it ends after half a second at the
+    latest.
 
     Raises
     ------
@@ -194,23 +191,14 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 def _enforce(patience_s: float) -> bool:
-    """Set a timer that ends the process, if the process runs nothing but the command.
+    """Set a timer that ends the process after `patience_s` seconds; return whether this is allowed.
 
-    If a timer is running already, the timer that ends the process sooner is kept.
-
-    Parameters
-    ----------
-    patience_s : float
-        Seconds until the end.
-
-    Returns
-    -------
-    bool
-        True if the process runs only the command; False if it also runs other code.
+    It is allowed if the process runs only the command, and no other code such as tests.
     """
     # A test that calls the command in its own process is not ended.
     is_own = signal.getsignal(signal.SIGALRM) is _end
     left_s = signal.getitimer(signal.ITIMER_REAL)[0]
+    # If a timer is running already, the timer that ends sooner is kept.
     if is_own and not 0.0 < left_s <= patience_s:
         signal.setitimer(signal.ITIMER_REAL, patience_s)
     return is_own

@@ -94,13 +94,7 @@ def _refuse_equal_flights(mission: Scenario, flights: int) -> None:
 def _lines(flown: Ensemble, savings: Sequence[Saving]) -> Iterator[str]:
     """Yield the lines that the command prints about the simulated flights of a plan.
 
-    Parameters
-    ----------
-    flown : Ensemble
-        Flights of the plan in random winds.
-    savings : sequence of Saving
-        Energy that the plan saves, compared with an autopilot in the same winds. One entry for each
-        speed of the autopilot.
+    `savings` has one entry for each speed of an autopilot, flown in the same winds.
     """
     name, told = flown.scenario.name, flown.summary
     low, middle, high = flown.band("energy_J")

@@ -108,22 +108,22 @@ def fly_declared(
     scenario : Scenario
         Mission and wind.
     reference : Reference or None
-        Reference trajectory that the adaptive controller follows. None: the plan's controls are
-        applied without feedback (open loop). `Reference.CRUISE`: a flight in the manner of an
-        autopilot, at the scenario's cruise speed. If the scenario gives none, speed, acceleration
-        and jerk are tuned for least energy.
+        Reference trajectory that the adaptive controller follows. None applies the plan's controls
+        without feedback. `Reference.CRUISE` flies like an autopilot, at the scenario's cruise
+        speed.
     plan : Plan or None
         Plan of the scenario; None if the flight needs no plan.
 
     Raises
     ------
     ScenarioError
-        For a cruise, if the scenario gives several cruise speeds, or if no tuned flight arrives
-        within the limits.
+        For a cruise, if the scenario gives several cruise speeds. If it gives none, the speed is
+        tuned; the error is also raised if no tuned flight arrives within the limits.
     """
     if reference is Reference.CRUISE:
         asked = scenario if plan is None else plan.scenario
         if asked.baseline.cruise_speeds is None:
+            # Speed, acceleration and jerk are tuned for least energy.
             return tune_cruise(asked, plan, planner).flight
         return fly_cruise(asked, own_cruise(asked), plan, planner)
     dynamics = vehicle_flown(planner, scenario)

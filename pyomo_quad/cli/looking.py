@@ -351,15 +351,9 @@ def _flight(run: Path) -> "tuple[StyledFlight, float, Scenario | None]":
 
 
 def _mission(summary: dict[str, Any]) -> Scenario | None:
-    """Return the scenario of a report, with duration and waypoint times of the reported flight.
+    """Return the scenario of a `summary.json`, with duration and waypoint times of the flight.
 
-    Waypoint times that the report does not give stay those of the scenario. The result is None if
-    scenario or duration is missing, or if this version of the package cannot read the scenario.
-
-    Parameters
-    ----------
-    summary : dict
-        Content of the report's file `summary.json`.
+    The result is None if scenario or duration is missing or cannot be read.
     """
     try:
         scenario = Scenario.model_validate(summary["scenario_resolved"])

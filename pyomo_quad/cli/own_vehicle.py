@@ -106,21 +106,9 @@ def is_asked(*, is_quiet: bool) -> bool:
 
 
 def _asked(given: float | None, words: str, *, is_needed: bool = False) -> float | None:
-    """Return the number of a command-line option, or ask the user if the option is not given.
+    """Return the value of an option; if it is None, ask the user the question `words`.
 
-    Parameters
-    ----------
-    given : float or None
-        Value of the option; None if the option is not given.
-    words : str
-        Question to the user.
-    is_needed : bool, default False
-        Whether a number is required. If so, the question is repeated until the user gives a number.
-
-    Returns
-    -------
-    float or None
-        The number; None if the user gives an empty answer to a question that requires no number.
+    An empty answer gives None, unless `is_needed`; the question is then repeated.
     """
     while given is None:
         answer = typer.prompt(words, default="" if not is_needed else None, show_default=False)

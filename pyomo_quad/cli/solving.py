@@ -64,11 +64,7 @@ _EXIT_CODES = {
 
 
 class _CommandPlanner(Planner):
-    """Planner of a command, which shows progress and stops at signals such as Ctrl-C.
-
-    The planner raises ScenarioError if the scenario's model cannot be transcribed. The command then
-    reports invalid input.
-    """
+    """Planner that shows progress, stops at signals, and raises ScenarioError for bad models."""
 
     def __init__(self, builder: Builder, *, is_quiet: bool, keeps_usable: bool) -> None:
         super().__init__(builder)
@@ -158,7 +154,8 @@ def report_folder(folder: Path) -> Iterator[Path]:
     """Context manager: write a report folder, and keep the earlier report if the solve is stopped.
 
     If the user stops the solve, the command prints one line and exits. The folder then still has
-    its earlier report. A nearly feasible best iterate is saved in the folder NAME-interrupted.
+    its earlier report. If the best iterate of the solve is nearly feasible, it is saved in the
+    folder NAME-interrupted.
 
     Yields
     ------
@@ -180,23 +177,9 @@ def report_folder(folder: Path) -> Iterator[Path]:
 
 
 def _kept(plan: Plan, folder: Path) -> str:
-    """Save the best iterate of a stopped solve in a separate folder, if nearly feasible.
+    """Save the best iterate of a stopped solve in the folder NAME-interrupted; return a message.
 
-    It counts as nearly feasible if the scaled constraint violation was at most 1e-4 at any recorded
-    iteration.
-
-    Parameters
-    ----------
-    plan : Plan
-        The best iterate, as a plan.
-    folder : Path
-        Report folder of the command. The name of the separate folder is derived from its name.
-
-    Returns
-    -------
-    str
-        Part of the command's message. It names the separate folder, or states that nothing was
-        written.
+    Nothing is saved if the scaled constraint violation exceeded 1e-4 at all recorded iterations.
     """
     best = min((line.infeasibility for line in plan.iterations), default=1.0)
     if plan.solution is None or best > _WORTH_KEEPING:
@@ -214,7 +197,7 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     The new accuracy is the first of these that applies:
 
     - `solver.accuracy` in the overrides;
-    - the accuracy of the plan's scenario, if no simulation has confirmed that the plan reaches it;
+    - the accuracy of the plan's scenario, if the stored plan is not verified at this accuracy;
     - the next higher accuracy.
 
     Parameters
@@ -227,14 +210,15 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
     Returns
     -------
     tuple of (Plan, Scenario)
-        The stored plan, from which the solve continues, and its scenario with the overrides. The
-        scenario also gets the new accuracy, and the energy tolerance of this accuracy.
+        The stored plan, and its scenario with the overrides, the new accuracy, and the energy
+        tolerance that belongs to this accuracy.
 
     Raises
     ------
     ScenarioError
-        If the folder contains no readable plan; if an override changes a field outside ``solver``;
-        or if the stored plan already has the highest accuracy, and the overrides give no accuracy.
+        If the folder contains no readable plan, or if an override changes a field outside
+        ``solver``. Also if the stored plan has the highest accuracy already, and the overrides give
+        no accuracy.
     """
     plan = Plan.load(run / PLAN_FILE_NAME if run.is_dir() else run)
     values = parse_overrides(overrides)
@@ -261,11 +245,10 @@ def plan_to_continue(run: Path, overrides: Sequence[str]) -> tuple[Plan, Scenari
 def _lacks_risk(plan: Plan) -> bool:
     """Return whether flights of a plan break limits more often than the scenario permits.
 
-    The result is False if the scenario states no permitted risk, if the plan's risk was not
-    assessed, or if no simulation has confirmed the plan.
+    The result is False if the scenario states no permitted risk, or if the risk was not assessed.
     """
     # The scenario's risk is the permitted probability that a flight breaks a limit. If no
-    # simulation has confirmed the plan, the plan's status reports the failure.
+    # simulation has confirmed the plan, the result is False: the status reports the failure.
     is_stated = plan.scenario.mission.risk is not None
     return is_stated and plan.is_flyable and plan.risk is not None and not plan.risk.is_satisfied
 
@@ -315,8 +298,8 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     """Yield the lines that a command prints about a plan.
 
     For a flyable plan, the lines give status, energy, estimated error, and the probability that a
-    flight breaks a limit. If this probability is above the permitted risk, `complain_about` prints
-    it. For a failed plan, the lines list the equations violated most and the limits reached.
+    flight breaks a limit. For a failed plan, they list the equations violated most and the limits
+    reached.
     """
     if plan.is_flyable:
         beside = against_hovering(plan.energy - plan.hover_energy_J, digits=3)
@@ -333,6 +316,7 @@ def verdict_lines(plan: Plan) -> Iterator[str]:
     for found in plan.scenario.contradictions:
         yield f"{plan.scenario.name}: no such vehicle can exist: {found.message}"
     if plan.is_flyable:
+        # If the probability is above the permitted risk, `complain_about` prints it.
         if not _lacks_risk(plan):
             yield f"{plan.scenario.name}: {plan.risk_words}"
         yield f"{plan.scenario.name}: {accuracy_words(plan)}."
@@ -413,11 +397,9 @@ def comparison_table(comparison: "pd.DataFrame") -> Table:
     Returns
     -------
     Table
-        One row for each flight. The columns are scenario, name, energy, saving, duration, energy
-        above hovering, final distance from the goal, and outcome. Energies include an estimate of
-        the energy from the end of the flight to the exact goal state. The saving, in percent, is
-        100 (flight - plan) / flight, with the energies of the flight and of the plan. Empty columns
-        are left out. The column of scenarios is left out if there is only one scenario.
+        One row for each flight. Energies include an estimate of the energy from the end of the
+        flight to the exact goal state. The saving in percent is 100 (flight - plan) / flight,
+        computed from energies. Empty columns are left out.
     """
     table = Table(box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
     rows = comparison.to_dict("records")

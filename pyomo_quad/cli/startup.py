@@ -1,8 +1,8 @@
 """Faster start of a process that runs a single command.
 
 `own_process` limits threads and garbage collection. `import_scipy_alone` avoids slow imports.
-Together they save about a second. Both change settings of the whole process. Call `own_process`
-only in a process that runs nothing but one command. Without it, `import_scipy_alone` does nothing.
+Together they save about a second. Both change settings of the whole process, which must run nothing
+but one command.
 """
 
 import gc
@@ -33,11 +33,12 @@ def own_process() -> None:
 def import_scipy_alone() -> None:
     """Remove the import hooks of Pyomo that make the import of SciPy and matplotlib slow.
 
-    Pyomo then imports further modules when it first uses them. The function does nothing unless
-    `own_process` was called before, and neither Pyomo nor SciPy has been imported yet.
+    The function acts only if `own_process` was called before, and neither Pyomo nor SciPy has been
+    imported yet.
     """
     # At the first import of SciPy or matplotlib, the hooks import modules that Pyomo may need
-    # later. They take half a second for each of the two libraries.
+    # later. They take half a second for each of the two libraries. Without the hooks, Pyomo
+    # imports these modules when it first uses them.
     if _is_own and _PYOMO_WATCHERS not in sys.modules and "scipy" not in sys.modules:
         # Pyomo's hook for NumPy must still act, so NumPy is imported before the hooks are removed.
         importlib.import_module("numpy")

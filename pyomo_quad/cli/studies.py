@@ -67,19 +67,8 @@ def paper(
 def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list[str]]]:
     """Context manager: write a report folder, and print the results at the end.
 
-    Parameters
-    ----------
-    folder : Path
-        The report folder, which is created or replaced at the end of the ``with`` block.
-    is_quiet : bool
-        Whether to print nothing.
-
-    Yields
-    ------
-    Path, list of str
-        A temporary folder and an empty list. The ``with`` block writes the report into the
-        temporary folder, which then becomes the report folder. The block appends each line of the
-        results to the list; the lines are printed at the end.
+    It yields a temporary folder, which becomes the report folder, and a list for the lines to
+    print.
     """
     lines: list[str] = []
     with output_folder(folder) as aside:
@@ -92,13 +81,10 @@ def _report_folder(folder: Path, *, is_quiet: bool) -> Iterator[tuple[Path, list
 def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | None]:
     """Context manager: show a progress bar of finished experiments on a terminal.
 
-    No progress is shown if `is_quiet` is True or standard error is not a terminal.
-
     Yields
     ------
     callable or None
-        Function to call after each experiment, with the experiment's name, the number of finished
-        experiments and the number of all experiments. None if no progress is shown.
+        Function (name of the experiment, number finished, number of all); None if no bar is shown.
     """
     console = error_console()
     if is_quiet or not console.is_terminal:
@@ -123,23 +109,7 @@ def _follow(*, is_quiet: bool) -> Iterator[Callable[[str, int, int], None] | Non
 def _steady_study(
     file: Path, overrides: list[str] | None, out: Path | None, study: str
 ) -> tuple[Scenario, Path]:
-    """Load the scenario of a study of steady flight, and check that its report can be written.
-
-    Parameters
-    ----------
-    file : Path
-        Scenario file.
-    overrides : list of str or None
-        Changes of fields, as ``PATH=VALUE``.
-    out : Path or None
-        Report folder; by default named after the scenario and the study.
-    study : str
-        Name of the study: "polar" or "reach".
-
-    Returns
-    -------
-    tuple of (Scenario, Path)
-        The scenario and the report folder.
+    """Load the scenario of a steady-flight study; return it with the report folder.
 
     Raises
     ------
@@ -378,21 +348,13 @@ def _parameter_lines(
 ) -> Iterator[str]:
     """Yield a line to print for each parameter of a fit: name, value and standard deviation.
 
-    The line also says if the value is at an end of its range. If the measurements do not determine
-    the parameter, the line says so instead, and the value is that before the fit.
-
-    Parameters
-    ----------
-    parameters : sequence
-        The fitted parameters.
-    together : sequence of (str, str)
-        For each parameter that is not determined: its name, and the name of the parameter with the
-        most similar effect on the power. The second name is "" if no parameter has a similar
-        effect.
+    `together` pairs each undetermined parameter with the one of most similar effect on power, or
+    "".
     """
     partners = dict(together)
     for one in parameters:
         edge = " (at the end of its range)" if one.is_at_bound and one.is_determined else ""
+        # If the measurements do not determine a parameter, its value is the value before the fit.
         kept = "" if one.is_determined else " (kept: the measurements do not determine it"
         partner = partners.get(one.name, "")
         kept += (
@@ -431,23 +393,12 @@ def _read(
 ) -> "tuple[Scenario, pd.DataFrame, pd.DataFrame]":
     """Read measured flights, and the description of the vehicle that flew them.
 
-    A flight that occurs several times is returned once; a message on standard error names it.
-
-    Parameters
-    ----------
-    logs : list of Path
-        Files with the measurements of the flights.
-    vehicle : str
-        Description of the vehicle: the name of a vehicle in the library, or a vehicle file.
-    flights : Path or None
-        CSV file with the columns "flight" and "split". Only flights whose "split" is "fit" are
-        returned. None: all flights are returned.
+    The CSV file `flights` selects the flights whose column "split" is "fit".
 
     Returns
     -------
-    tuple of (Scenario, DataFrame, DataFrame)
-        Scenario with the vehicle, samples of the returned flights, and samples of their battery
-        voltage. The last table is empty unless every file in `logs` has the voltage.
+    Scenario, DataFrame, DataFrame
+        Vehicle, samples of the flights, and samples of their battery voltage.
     """
     import pandas as pd  # noqa: PLC0415
 
@@ -470,6 +421,7 @@ def _read(
     if flights is not None:
         frame = _chosen(frame, flights)
     electric = [(file, read_voltages(file, flown)) for file, flown in read]
+    # The voltages are used only if every file has them.
     if any(one.empty for _, one in electric):
         return scenario, frame, pd.DataFrame()
     voltages = together(electric)

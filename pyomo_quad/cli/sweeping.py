@@ -177,10 +177,7 @@ def follow_sweep(*, is_verbose: bool) -> Iterator["SweepListener"]:
 
 
 class _Listener:
-    """Base class of progress displays of a sweep, which solves many variants of a scenario.
-
-    The sweep calls the methods `start` and `case_ended`. A case is one variant of the scenario.
-    """
+    """Base class of displays of a sweep's progress; a case is one variant of the scenario."""
 
     total = done = failed = _solved = 0
 
@@ -197,16 +194,7 @@ class _Listener:
     def case_ended(self, case: "Case", outcome: "CaseOutcome", done: int) -> None:
         """Count a case that has ended, and show the progress of the sweep.
 
-        The sweep calls this method after it has stored the result of the case.
-
-        Parameters
-        ----------
-        case : Case
-            The case that has ended.
-        outcome : CaseOutcome
-            Result of this case.
-        done : int
-            Number of cases of the sweep that have ended so far, in this run and in earlier runs.
+        `done` counts the cases that have ended in this run and in earlier runs.
         """
         self.done = done
         self._solved += 1

@@ -52,10 +52,10 @@ def complain(message: str) -> None:
 
 
 def claim_streams() -> bool:
-    """Make standard output and standard error safe to print to, even if they are closed.
+    """Make standard output and standard error safe to print to.
 
-    Closed streams are replaced by the null device. From then on, characters that the terminal
-    cannot encode are printed as escape sequences.
+    Closed streams are replaced by the null device. Characters that the terminal cannot encode are
+    printed as escape sequences.
 
     Returns
     -------
@@ -78,10 +78,9 @@ def claim_streams() -> bool:
 
 
 def gives_up_output(error: OSError) -> bool:
-    """Return whether an error shows that standard output can no longer be written.
+    """Return whether an error shows that standard output is lost, as by a closed pipe.
 
-    Examples are a closed pipe and a full disk. If the result is True, the function has redirected
-    standard output to the null device.
+    If so, the function also redirects standard output to the null device.
     """
     if error.filename is not None or error.errno not in _LOST:
         return False
@@ -145,15 +144,13 @@ def _plain_lines(started: float) -> Callable[["State"], None]:
 
 
 def _state_of(now: "State") -> str:
-    """Return the line of the progress display for `now`, the state of a search for a plan.
-
-    The word "usable" means that a simulation has confirmed a plan at lower accuracy than requested.
-    A search that the user stops returns this plan.
-    """
+    """Return the line of the progress display for `now`, the state of a search for a plan."""
     best = "no energy yet"
     if isfinite(now.energy_J):
         known = f" ± {100.0 * now.uncertainty:.2g} %" if isfinite(now.uncertainty) else ""
         best = f"best so far {now.energy_J:.2f} J{known}"
+    # A usable plan is confirmed by simulation, at lower accuracy than requested. A search that the
+    # user stops returns this plan.
     kept = ", usable" if now.has_usable else ""
     return (
         f"{now.stage}: {best}{kept}; iteration {now.iteration.iteration} on "

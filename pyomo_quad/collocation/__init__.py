@@ -112,10 +112,9 @@ def compile(  # noqa: A001  as casadi, re and builtins do
         Static variable (a variable without time) that is the free end of the horizon. Only for a
         model with one continuous set.
     times : mapping, optional
-        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time, a member of the
-        continuous set. The value is a static variable: the physical time of all conditions declared
-        at 1.0. The solve determines this time. For a model with several continuous sets: a mapping
-        from the name of each set to its free times.
+        Physical times that the solve determines. For example, {1.0: m.T1} makes the static variable
+        `m.T1` the physical time of all conditions declared at 1.0 in the continuous set. With
+        several continuous sets: one such mapping for the name of each set.
 
     Returns
     -------
@@ -169,14 +168,13 @@ def solve(
         Static variable (a variable without time) that is the free end of the horizon. Only for a
         model with one continuous set.
     times : mapping, optional
-        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time, a member of the
-        continuous set. The value is a static variable: the physical time of all conditions declared
-        at 1.0. The solve determines this time. For a model with several continuous sets: a mapping
-        from the name of each set to its free times.
+        Physical times that the solve determines. For example, {1.0: m.T1} makes the static variable
+        `m.T1` the physical time of all conditions declared at 1.0 in the continuous set. With
+        several continuous sets: one such mapping for the name of each set.
     mesh : Mesh or mapping, optional
-        Mesh of the solve; if a `tolerance` is given, only the initial mesh. By default, the initial
-        mesh is that of the warm start, or `first_mesh` of `refinement`. For a model with several
-        continuous sets: a mesh for all sets, or a mapping from the sets' names to meshes.
+        Mesh of the solve; only the initial mesh if a `tolerance` is given. By default, that of the
+        warm start, or `first_mesh` of `refinement`. With several continuous sets: one mesh for all,
+        or a mapping from their names to meshes.
     tolerance : float, optional
         Required relative error of the states, for which the mesh is refined. The default is 1e-6 if
         no mesh is given; a given mesh is by default not refined.
@@ -187,10 +185,9 @@ def solve(
         Start and end of the horizon, in place of the ends of the continuous set. Not supported for
         several continuous sets.
     guess : mapping, optional
-        Initial values by the name of a variable. A value is a function of time, a constant, or a
-        sequence of samples; the key "time" then has the times of the samples. For a model with
-        several continuous sets, a key may also be the name of a set; the value is then a guess for
-        the variables over the set.
+        Initial values by the name of a variable: a function of time, a constant, or samples at the
+        times under the key "time". With several continuous sets, the name of a set maps to a guess
+        for the variables over it.
     warm_start : Solution, WarmStart, JointSolution or tuple of WarmStart, optional
         Solution of the same model on any mesh, from which the solve starts. For a model with
         several continuous sets: a `JointSolution`, or a tuple of `WarmStart`.

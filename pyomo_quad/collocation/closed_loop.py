@@ -55,10 +55,7 @@ class Symbol(NDArrayOperatorsMixin):
         self.expression = expression
 
     def __array_ufunc__(self, function: np.ufunc, method: str, *numbers: Any, **_: Any) -> Symbol:
-        """Apply a NumPy function to symbols, as a CasADi expression.
-
-        `numbers` are the arguments of `function`: symbols or ordinary numbers. `method` must be
-        "__call__", which is a plain call of the function.
+        """Apply a NumPy function to symbols or numbers, as a CasADi expression.
 
         Raises
         ------
@@ -123,13 +120,10 @@ def written_law(dynamics: Dynamics, law: Law, sizes: tuple[int, int, int]) -> An
     dynamics : Dynamics
         Right-hand side of the vehicle.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. Here x are
-        the vehicle's states, and own are the law's own states.
+        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`.
     sizes : (int, int, int)
-        Three numbers, from `joint_sizes`: the number of time-dependent inputs of the equations, the
-        number of joint states, and the number of components of the command. The joint state
-        consists of the vehicle's states, the law's own states, and the integral of the objective's
-        integrand.
+        Numbers of time-dependent inputs, joint states and components of the command, from
+        `joint_sizes`.
 
     Returns
     -------
@@ -197,11 +191,10 @@ def closed(
     dynamics : Dynamics
         Right-hand side of the vehicle.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. Here x are
-        the vehicle's states, and own are the law's own states.
+        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`.
     sizes : (int, int, int)
-        Three numbers, from `joint_sizes`: the number of time-dependent inputs of the equations, the
-        number of joint states, and the number of components of the command.
+        Numbers of time-dependent inputs, joint states and components of the command, from
+        `joint_sizes`.
     numbers : mapping
         Full name of a parameter -> symbol that replaces it. Unknown names are ignored.
 
@@ -240,9 +233,8 @@ class ClosedLoop:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        (command, x, own) -> (controls, time derivatives of own), sequences of numbers; see `Law`.
-        Here x are the vehicle's states, and own are the law's own states. The constructor calls the
-        law once, with symbols.
+        (command, x, own) -> (controls, time derivatives of own); see `Law`. The constructor calls
+        the law once, with symbols instead of numbers.
     n_command, n_own : int
         Number of components of the command that the law follows, and number of states of the law.
 
@@ -255,8 +247,8 @@ class ClosedLoop:
     Raises
     ------
     TranscriptionError
-        If the law branches on a state; if it calls a function that cannot be compiled; or if it
-        returns a wrong number of controls or of time derivatives of its own states.
+        If the law branches on its arguments, calls a function that cannot be compiled, or returns
+        sequences of wrong length.
     """
 
     def __init__(self, dynamics: Dynamics, law: Law, *, n_command: int, n_own: int) -> None:

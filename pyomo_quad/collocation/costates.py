@@ -42,9 +42,8 @@ _ROUGH = 0.02
 class Costates:
     """Costates of a solution as polynomials on the elements, with the Hamiltonian.
 
-    The order of convergence of `stages` is lower by 1 than that of the states. `at_points` is more
-    accurate: it integrates the adjoint equations over each element, with the multipliers on the
-    right-hand side.
+    `at_points` is more accurate than `stages`, whose order of convergence is lower by 1 than that
+    of the states.
 
     Attributes
     ----------
@@ -60,9 +59,9 @@ class Costates:
         Hamiltonian H = L + p . dx/dt at the collocation points. L is the integrand of the minimised
         objective per unit of physical time, p are the costates, and x the states.
     sizes : ndarray, shape (n_states,)
-        Largest magnitude of each costate over the horizon, but at least 1e-9 a / b. Here a is the
-        magnitude of the objective, and b is the largest magnitude of the state over the horizon. If
-        the state is always 0, b is 1.
+        Largest magnitude of each costate over the horizon, at least 1e-9 a / b. Here a is the
+        magnitude of the objective, and b the largest magnitude of the state, or 1 if the state is
+        always 0.
     """
 
     mesh: Mesh
@@ -96,28 +95,22 @@ class Costates:
 
 @lru_cache(maxsize=64)
 def _roughness(degree: int) -> FloatArray:
-    """Return the matrix R such that R v is the residual of a smooth fit to values v.
+    """Return the matrix R such that R v is the residual of a smooth fit to an element's values v.
 
-    The values belong to the left end and the d collocation points of an element. The fit is a
-    polynomial of degree max(d - 2, 0), by least squares. The shape of R is (d + 1, d + 1).
+    The least-squares fit is a polynomial of degree max(d - 2, 0), with d collocation points.
     """
     smooth = legendre.legvander(2.0 * radau_rule(degree).nodes - 1.0, max(degree - 2, 0))
     return np.asarray(np.eye(degree + 1) - smooth @ np.linalg.pinv(smooth))
 
 
 def _by_degree(mesh: Mesh) -> list[tuple[int, np.ndarray, np.ndarray]]:
-    """Group the elements of a mesh by their number of collocation points (degree).
+    """Group the elements of a mesh by their degree, the number of collocation points.
 
-    Elements of equal degree can be evaluated together by array operations.
-
-    Returns
-    -------
-    list of (int, ndarray, ndarray)
-        For each degree, a tuple of the degree, the indices of the k elements of this degree, shape
-        (k,), and the indices of the elements' collocation points, shape (k, degree).
+    Each item is (degree, indices of the k elements, indices of their points, shape (k, degree)).
     """
     degrees = np.asarray(mesh.degrees)
     groups = []
+    # Elements of equal degree can be evaluated together by array operations.
     for degree in sorted(set(mesh.degrees)):
         chosen = np.flatnonzero(degrees == degree)
         groups.append((degree, chosen, mesh.first_node[chosen, None] + np.arange(degree)))
@@ -150,7 +143,7 @@ def costates_of(
     timeline : Timeline
         Mapping from fractions of the horizon to physical times.
     objective : float
-        Magnitude of the objective. It sets the least value of `Costates.sizes`.
+        Magnitude of the objective, for the least values in `Costates.sizes`.
 
     Returns
     -------
@@ -164,6 +157,8 @@ def costates_of(
     starts, at_points = np.empty((mesh.elements, by_rate.shape[1])), np.empty_like(stages)
     for degree, chosen, points in _by_degree(mesh):
         rule, widths = radau_rule(degree), mesh.widths[chosen, None]
+        # The adjoint equations are integrated over each element, with the multipliers on the
+        # right-hand side.
         starts[chosen] = np.einsum("j,ejs->es", rule.differentiation[:, 0], by_rate[points])
         starts[chosen] /= widths
         grown = widths[:, None] * (rule.integration @ slopes[points])
@@ -187,32 +182,16 @@ def costates_of(
 def _products(
     program: Transcription, z: FloatArray, weights: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the gradients of a weighted sum w . g at each collocation point.
+    """Return the gradients of a weighted sum of path equations and integrands at each point.
 
-    Here g are the path equations (constraints at every collocation point) and the integrands of the
-    model's integrals, and w are the `weights`. The gradients occur in the adjoint equations.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program of the optimal control problem on one mesh.
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the program.
-    weights : ndarray, shape (n_points, n_path_rows)
-        Weight of each path equation and integrand at each collocation point. The path equations
-        come first; n_path_rows is the number of path equations and integrands together.
-
-    Returns
-    -------
-    ndarray, ndarray
-        Gradient with respect to the rates (derivatives of the states with respect to the fraction
-        of the horizon), and gradient with respect to the states. Each has shape (n_points,
-        n_states).
+    The gradients with respect to rates and to states have shape (n_points, n_states) each.
+    `weights` has shape (n_points, n_path_rows).
     """
     n, rows = program.layout.n_states, np.arange(weights.shape[1])
     slopes = program.path_slopes(
         program.path_variables(z), program.data.at_points(), rows, np.arange(2 * n)
     )
+    # The columns of `weights` belong to the path equations, then to the integrands.
     products = np.einsum("kr,krc->kc", weights, slopes)
     return products[:, :n], products[:, n:]
 
@@ -220,10 +199,9 @@ def _products(
 def _bound_multipliers(
     program: Transcription, multipliers: Multipliers, bounds: Bounds
 ) -> FloatArray:
-    """Return multipliers of states' bounds at the collocation points, shape (n_points, n_states).
+    """Return upper minus lower multipliers of the states' bounds, shape (n_points, n_states).
 
-    An entry is the multiplier of the upper bound minus that of the lower bound. It is 0 where the
-    state is fixed, or where a bound holds at a single time only.
+    An entry is 0 where the state is fixed, or where a bound holds at a single time only.
     """
     is_held = bounds.lower == bounds.upper
     # A bound at a single time can make the costate jump there. The adjoint equations hold between
@@ -244,11 +222,9 @@ def costate_errors_of(
 ) -> FloatArray:
     """Estimate the largest relative error of each costate over the horizon.
 
-    The result is the largest of three estimates; see docs/theory/transcription.md, eq. (13):
-
-    - the error of the integration of the adjoint equations;
-    - the error from jumps of the costate, which occur at limits on states;
-    - the error from such jumps of other costates.
+    The result is the largest of three estimates: the error of integrating the adjoint equations,
+    the error from jumps of the costate at limits on states, and the error that jumps of other
+    costates cause. See docs/theory/transcription.md, eq. (13).
 
     Parameters
     ----------

@@ -52,9 +52,8 @@ class SoftRows:
     family : ndarray of int, shape (n,)
         Position of each limit's family in `names`.
     row, column : ndarray of int, shape (n,)
-        For a limit on a constraint, `row` is the index of the constraint in the program and
-        `column` is -1. For a limit on an unknown, `row` is -1 and `column` is the index of the
-        unknown.
+        `row` is the index of the limited constraint, or -1. `column` is the index of the limited
+        unknown, or -1.
     sign : ndarray, shape (n,)
         1 for an upper limit, -1 for a lower limit.
     limit : ndarray, shape (n,)
@@ -132,20 +131,8 @@ class SoftRows:
 def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
     """Yield the one-sided limits on unknowns of the nonlinear program, for `SoftRows.of`.
 
-    Each unknown of a limit gives an upper and a lower limit, which may be infinite.
-
-    Parameters
-    ----------
-    limits : list of Limit
-        Limits on unknowns that the Pyomo model declares.
-    scaling : Scaling
-        Scaling factors of the unknowns. The reference magnitude of an unknown is 1 / factor.
-
-    Yields
-    ------
-    (str, int, int, float, float, float)
-        Name of the component that declares the limit; -1 (no constraint); index of the unknown;
-        1 for an upper or -1 for a lower limit; value of the limit; reference magnitude.
+    A limit is (component, -1, index of the unknown, sign, value, 1 / scaling factor). The value may
+    be infinite.
     """
     for limit in limits:
         for k, column in enumerate(limit.columns):
@@ -158,25 +145,10 @@ def _soft_unknowns(limits: list[Limit], scaling: Scaling) -> Iterator[_SoftRow]:
 def _soft_program_rows(
     program: Transcription, bounds: Bounds, scaling: Scaling
 ) -> Iterator[_SoftRow]:
-    """Yield the one-sided limits on constraints of the nonlinear program, for `SoftRows.of`.
+    """Yield the one-sided limits on path inequalities and conditions, for `SoftRows.of`.
 
-    The constraints are path inequalities at each collocation point, and conditions at single times.
-    Each gives an upper and a lower limit, which may be infinite.
-
-    Parameters
-    ----------
-    program : Transcription
-        The nonlinear program.
-    bounds : Bounds
-        Lower and upper limits of the constraints.
-    scaling : Scaling
-        Scaling factors of the constraints. The reference magnitude of a constraint is 1 / factor.
-
-    Yields
-    ------
-    (str, int, int, float, float, float)
-        Name of the component that declares the limit; index of the constraint; -1 (no unknown);
-        1 for an upper or -1 for a lower limit; value of the limit; reference magnitude.
+    A limit is (component, index of the constraint, -1, sign, value, 1 / scaling factor). The value
+    may be infinite.
     """
     equations = program.compiled.declared.equations
     rows = [
@@ -250,8 +222,8 @@ class ActiveLimit:
     unit : str
         Unit of the limit, "" if it has none.
     share : float
-        Fraction of the points of the component at which a limit is active. The points are
-        collocation points or nodes for a limit over time.
+        Fraction of the component's limited points (collocation points or nodes) at which a limit is
+        active.
     """
 
     name: str
@@ -307,9 +279,9 @@ class Diagnosis:
     active : tuple of ActiveLimit
         Limits that are active at the best iterate.
     least_violation : float
-        Least sum of relative relaxations with which all equations can be satisfied; dimensionless.
-        The sum has one term for each component of the model that declares limits: the relaxation
-        divided by the magnitude of the limits. Infinite if the computation did not converge.
+        Least sum of the components' relaxations with which all equations can be satisfied. Each
+        relaxation is divided by the magnitude of the limits. Infinite if the diagnosis did not
+        converge.
     relaxations : tuple of Relaxation
         Relaxations of the components whose limits must all be relaxed to make the problem feasible.
         Empty if all limits can be satisfied.
@@ -403,26 +375,8 @@ def diagnose(
 def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None) -> IpoptResult:
     """Minimise the sum of the slacks by which limits are relaxed, and return Ipopt's result.
 
-    Ipopt solves the failed program with slacks in the limits. All limits of a family share one
-    slack, as in `SoftRows`. The objective is the sum of the slacks, plus a small penalty on the
-    distance from the failed solve's unknowns.
-
-    Parameters
-    ----------
-    solution : Solution
-        Result of the failed solve, with the original program. The solve of the elastic program
-        starts from the unknowns of this result.
-    soft : SoftRows
-        Limits that may be violated.
-    progress : callable or None
-        Called at each iteration of Ipopt; returning False stops the solve.
-
-    Returns
-    -------
-    IpoptResult
-        Ipopt's result for the elastic program. Its unknowns are, in this order: the unknowns of the
-        original program; a relative violation for each limit on a constraint, at most the slack of
-        its family; and the slacks of the families.
+    The unknowns of the result are those of the failed program, a relative violation for each limit
+    on a constraint, and one slack per family.
     """
     program, bounds, z = solution.program, solution.bounds, solution.unknowns
     n, m, count, families = z.size, program.n_rows, len(soft), len(soft.names)
@@ -439,6 +393,8 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
     )
     values, at_row, at_column = (np.concatenate(part) for part in zip(*parts, strict=True))
     shape = m + count, first_slack + families
+    # The objective is the sum of the slacks, plus a small penalty on the distance from the failed
+    # solve's unknowns.
     elastic = ExtendedProgram(
         program=program,
         share=0.0,
@@ -472,11 +428,7 @@ def _least_slacks(solution: Solution, soft: SoftRows, progress: Progress | None)
 
 
 def _residuals(solution: Solution) -> tuple[Residual, ...]:
-    """Return the ten equations with the largest scaled violations at the best iterate.
-
-    The best iterate is the point with the least constraint violation that the failed solve found.
-    Satisfied equations are left out. The largest violation comes first.
-    """
+    """Return the ten most violated equations of the best iterate, the most violated first."""
     program, bounds = solution.program, solution.bounds
     values = program.constraints(solution.unknowns)
     off = np.maximum(np.maximum(bounds.row_lower - values, values - bounds.row_upper), 0.0)
@@ -498,14 +450,11 @@ def _residuals(solution: Solution) -> tuple[Residual, ...]:
 
 
 def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
-    """Return the limits that are active at the best iterate, one item per model component.
-
-    The best iterate is the point with the least constraint violation that the failed solve found.
-    Limits on fixed unknowns are left out.
-    """
+    """Return the limits that are active at the best iterate, one item per model component."""
     values = solution.program.constraints(solution.unknowns)
     held = np.where(soft.row >= 0, values[soft.row], solution.unknowns[soft.column])
     touches = soft.sign * (held - soft.limit) >= -_MET * soft.size
+    # Limits on fixed unknowns are left out.
     equal = solution.bounds.lower == solution.bounds.upper
     is_equality = (soft.row < 0) & equal[soft.column]
     # Both sides of a limit with two sides belong to the same point.
@@ -527,19 +476,9 @@ def _active(solution: Solution, soft: SoftRows) -> tuple[ActiveLimit, ...]:
 
 
 def _relaxations(solution: Solution, soft: SoftRows, slacks: FloatArray) -> tuple[Relaxation, ...]:
-    """Return by how much the limits of each component must be relaxed for a feasible problem.
+    """Return by how much the limits of each component must be relaxed, the most relaxed first.
 
-    The component with the largest relative relaxation comes first. Components with a negligible
-    relaxation are left out.
-
-    Parameters
-    ----------
-    solution : Solution
-        Result of the failed solve, from which units are read.
-    soft : SoftRows
-        Limits of all families.
-    slacks : ndarray, shape (n_families,)
-        Relaxation of each family, relative to the reference magnitude of its limits.
+    `slacks`, shape (n_families,), are relative to the reference magnitudes of the limits.
     """
     found = []
     for k in np.argsort(-slacks):

@@ -54,12 +54,12 @@ class Instants:
         states; algebraic variables; static variables (variables without time); and data (fraction
         of the horizon and parameters).
     read : callable
-        Function that evaluates components of the model, such as variables and expressions: ``(keys,
-        *inputs)`` -> values, shape (n, n_keys). A key is a pair: the full name of a component, and
-        its index without the time (i for ``x[i, t]``, None for ``x[t]``).
+        ``(keys, *inputs)`` -> values of components of the model, shape (n, n_keys). A key is the
+        full name of a component and its index without the time (i for ``x[i, t]``, None for
+        ``x[t]``).
     numbers : callable
-        Function that changes parameters: (data, new values of constant parameters by full name) ->
-        changed copy of the data. The data are the last array of `inputs`.
+        (data, new values of constant parameters by full name) -> changed copy of the data, the last
+        array of `inputs`.
     """
 
     inputs: list[FloatArray]
@@ -135,16 +135,10 @@ class Dynamics:
         return type(self), (self._formulation, self._instance, self._statics)
 
     def _compile(self, states: tuple[Slot, ...]) -> Any:
-        """Return the CasADi function of the right-hand side.
+        """Return the right-hand side as a CasADi function with two outputs.
 
-        The inputs are states, controls, static variables (variables without time), and data
-        (fraction of the horizon and parameters). The outputs are two columns:
-
-        - the rates dx/ds of all states x, then the algebraic variables that equations determine;
-        - the objective's integrand per unit of s, then dt/ds.
-
-        Here s is the fraction of the horizon, and t is the physical time. `states` are the states
-        of the nonlinear program, then the output states.
+        Output 1: dx/ds, then the determined algebraic variables. Output 2: the objective's
+        integrand per unit of s, then dt/ds. Here s is the fraction of the horizon.
         """
         declared = self._formulation.compiled.declared
         equations = [e for e in declared.equations if e.is_equality]
@@ -169,11 +163,7 @@ class Dynamics:
         return casadi.Function(_RIGHT_HAND_SIDE, inputs, [casadi.densify(o) for o in outputs])
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side as a CasADi function that solves implicit equations.
-
-        CasADi's Newton method solves the nonlinear part of the equations in `core`. `inputs` are
-        the symbols of the function's four inputs, as in `_compile`.
-        """
+        """Return the right-hand side as a CasADi function that solves `core` by Newton's method."""
         newton = casadi.rootfinder("slopes", "newton", core.residual, {"abstol": _NEWTON_TOLERANCE})
         symbols = [casadi.MX.sym(f"i{k}", i.shape[0]) for k, i in enumerate(inputs)]
         stacked = casadi.vertcat(*symbols)
@@ -183,9 +173,9 @@ class Dynamics:
     def without_iterations(self) -> Dynamics:
         """Return a right-hand side that solves implicit equations by exactly 20 Newton steps.
 
-        It is faster than an iteration until convergence. In implicit equations, rates (derivatives
-        of the states) or algebraic variables enter nonlinearly. If no equation is implicit, the
-        result is this object itself.
+        An equation is implicit if rates (derivatives of the states) or algebraic variables enter it
+        nonlinearly. Without implicit equations, the result is this object itself. The 20 steps are
+        faster than an iteration until convergence.
         """
         return self if self._right_hand_side.is_a("SXFunction") else self._written_out
 
@@ -261,10 +251,9 @@ class Dynamics:
         Returns
         -------
         list of float
-            The fraction of the horizon, then the time-dependent parameters, then quantities that
-            depend on time but have no CasADi expression. Python computes these quantities at the
-            time t. An example is a number that tells which branch a rule of the model takes at the
-            time t. The attribute `Declarations.scheduled` describes these quantities.
+            The fraction of the horizon, then the time-dependent parameters, then other quantities
+            that Python computes at the time t. An example is the number of the branch that a rule
+            of the model takes. `Declarations.scheduled` describes these quantities.
         """
         fraction = self.timeline.fraction_at(float(t))
         return [fraction, *self._signals(fraction)]
@@ -280,11 +269,10 @@ class Dynamics:
         return np.array([[f, *self._signals(f)] for f in fractions.tolist()])
 
     def symbol(self, name: str, size: int) -> Any:
-        """Return a column of CasADi symbols, of the type that the right-hand side accepts.
+        """Return a column of CasADi symbols as arguments for the method `written`.
 
-        The symbols are arguments for the method `written`, which returns dx/dt as an expression.
-        The type is `casadi.MX` if the right-hand side calls CasADi's Newton iteration, otherwise
-        `casadi.SX`.
+        The type of the symbols is `casadi.MX` if the right-hand side calls CasADi's Newton
+        iteration, otherwise `casadi.SX`.
 
         Parameters
         ----------
@@ -387,8 +375,8 @@ class Dynamics:
     def _row(self, t: float) -> FloatArray:
         """Return the data input of the compiled right-hand side at the physical time `t`.
 
-        The data have shape (n_data,): the time-dependent inputs of the equations, which the method
-        `moment` returns, then the constant parameters. The next call overwrites the returned array.
+        It has the inputs that `moment` returns, then the constant parameters. The next call
+        overwrites it.
         """
         moment = self.moment(t)
         self._data[: len(moment)] = moment
@@ -397,14 +385,7 @@ class Dynamics:
     def _solve(self, t: float, x: FloatArray, u: FloatArray) -> list[FloatArray]:
         """Evaluate the right-hand side at one physical time, for states x and controls u.
 
-        Returns
-        -------
-        ndarray
-            One row: the derivatives of the states with respect to the fraction of the horizon, then
-            the algebraic variables that equations determine.
-        ndarray
-            One row: the objective's integrand per unit of the fraction of the horizon, then the
-            derivative of physical time with respect to the fraction of the horizon.
+        Each output of `_compile` is returned as one row.
         """
         row = self._row(t)
         return self._at_one(x[None, :], u[None, :], self._statics[None, :], row[None, :])
@@ -455,8 +436,8 @@ class Dynamics:
     def _slopes(self) -> Any:
         """CasADi function of the Jacobians of the right-hand side, with the inputs of `_compile`.
 
-        There are three outputs. The first is the second output of `_compile`. The others are the
-        Jacobians of the first output of `_compile`, with respect to states and to controls.
+        The outputs are the second output of `_compile`, and the Jacobians of the first with respect
+        to states and to controls.
         """
         kept, key = _COMPILED[self._formulation], (type(self), _SLOPES)
         if key not in kept:
@@ -543,22 +524,21 @@ class Dynamics:
         return Instants(inputs=inputs, read=self._formulation.evaluator, numbers=self._with_numbers)
 
     def _with_numbers(self, data: FloatArray, numbers: Mapping[str, ArrayLike]) -> FloatArray:
-        """Return a copy of the equations' data at n times, in which some parameters are changed.
+        """Return a copy of the equations' data at n times with new values of constant parameters.
 
-        `numbers` maps full names of constant parameters to new values: numbers, or arrays of shape
-        (n,). The last columns of `data` are the constant parameters.
+        A new value is a number or an array of shape (n,).
         """
         names = self.parameter_names
         changed = data.copy()
         for name, column in numbers.items():
+            # The constant parameters are the last columns.
             changed[:, data.shape[1] - len(names) + names.index(name)] = column
         return changed
 
     def _algebraics(self, determined: FloatArray, controls: FloatArray) -> FloatArray:
-        """Merge controls and computed variables into one array of all algebraic variables.
+        """Merge controls and determined variables into one array of all algebraic variables.
 
-        `determined` are the variables that equations determine. Each array has one row per time.
-        The columns of the result are in the order of `Declarations.algebraics`.
+        The columns are in the order of `Declarations.algebraics`, with one row per time.
         """
         names = [s.name for s in self._determined]
         columns = [
@@ -626,8 +606,7 @@ class Dynamics:
     def states_used_up(self) -> tuple[str, ...]:
         """Names of the states with a given initial value and a free final value.
 
-        An example is the charge drawn from a battery, which measures consumption. These states may
-        change in steady flight.
+        An example is the charge drawn from a battery, which changes even in steady flight.
         """
         declared = self._formulation.compiled.declared
         # A state at the end remains free if only the objective depends on it.
@@ -770,9 +749,9 @@ class Dynamics:
 def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[Slot, ...]]:
     """Split the algebraic variables into controls and variables that equations determine.
 
-    An equality without time derivatives can determine one of its algebraic variables. A maximum
-    matching assigns variables to such equalities. It prefers variables that first appear in late
-    constraints. The controls are the variables without an assigned equality.
+    Each equality without time derivatives may determine one algebraic variable. A maximum matching
+    of variables and equalities decides which one. The controls are the variables without an
+    assigned equality.
 
     Parameters
     ----------
@@ -800,6 +779,7 @@ def split_algebraics(formulation: Formulation) -> tuple[tuple[Slot, ...], tuple[
         for e in declared.equations
         if e.is_equality and not (names := symbol_names(e.expression)) & rates
     ]
+    # Variables that first appear in late constraints are preferred as determined variables.
     slots = list(reversed(declared.algebraics))
     if not rows or not slots:
         return declared.algebraics, ()
@@ -841,10 +821,9 @@ def control_limits(
 
 
 def _objective_density(formulation: Formulation) -> Any:
-    """Return the integrand of the objective of a compiled problem, as a CasADi expression.
+    """Return the objective's integrand per unit of the fraction of the horizon, in CasADi.
 
-    The integrand is per unit of the fraction of the horizon. Its sign is not changed if the
-    objective is maximised.
+    If the objective is maximised, its sign is not changed.
     """
     declared = formulation.compiled.declared
     density = casadi.SX(0)
@@ -856,13 +835,10 @@ def _objective_density(formulation: Formulation) -> Any:
 
 
 def _solve_linear(matrix: Any, right: Any) -> Any:
-    """Solve a linear system of CasADi expressions symbolically.
-
-    `matrix` and `right` are the matrix and the right-hand side. A matrix with a single nonzero in
-    each row and column needs only divisions.
-    """
+    """Solve a linear system of CasADi expressions symbolically."""
     rows, columns = matrix.sparsity().get_triplet()
     n = matrix.shape[0]
+    # A matrix with a single nonzero in each row and column needs only divisions.
     if sorted(rows) == list(range(n)) and sorted(columns) == list(range(n)):
         solved = [casadi.SX(0)] * n
         for row, column in zip(rows, columns, strict=True):
@@ -872,10 +848,9 @@ def _solve_linear(matrix: Any, right: Any) -> Any:
 
 
 def _solved_for(rows: Any, unknowns: Any) -> Any:
-    """Solve equations symbolically for unknowns that enter them linearly.
+    """Return the symbolic solution of equations that are linear in the unknowns.
 
-    `rows` is the CasADi column of the equations' residuals. `unknowns` is the column of symbols to
-    solve for. The result is the column of their solutions.
+    `rows` is the CasADi column of the equations' residuals.
     """
     offset = casadi.substitute(rows, unknowns, casadi.DM.zeros(unknowns.shape[0]))
     return _solve_linear(casadi.jacobian(rows, unknowns), -offset)
@@ -885,21 +860,8 @@ def _solved_for(rows: Any, unknowns: Any) -> Any:
 class _Core:
     """Implicit equations, split into a nonlinear part for Newton's method and a linear rest.
 
-    The unknowns are the rates and the algebraic variables that equations determine. Rates are
-    derivatives of the states with respect to the fraction of the horizon. The inputs are those of
-    `Dynamics._compile`.
-
-    Attributes
-    ----------
-    inner : casadi.SX
-        Unknowns of the nonlinear part.
-    residual : casadi.Function
-        (unknowns of the nonlinear part, all inputs as one column) -> residual of the nonlinear
-        part.
-    known : casadi.Function
-        (unknowns of the nonlinear part, all inputs as one column) -> (all unknowns, column of two
-        numbers). The two numbers are the objective's integrand, and the derivative of time with
-        respect to the fraction of the horizon.
+    `residual` maps (`inner`, all inputs as one column) to the residual of the nonlinear part.
+    `known` maps them to all unknowns, and to integrand and dt/ds.
     """
 
     inner: Any
@@ -908,23 +870,10 @@ class _Core:
 
     @classmethod
     def of(cls, rows: Any, unknowns: Any, inputs: list[Any], rest: Any) -> _Core:
-        """Split equations that are nonlinear in the rates or algebraic variables.
+        """Split the equations with residuals `rows`, and solve the linear rest symbolically.
 
-        Newton's method will solve the nonlinear part. The other equations are linear in the other
-        unknowns, and are solved here symbolically.
-
-        Parameters
-        ----------
-        rows : casadi.SX
-            Residuals of the equations.
-        unknowns : casadi.SX
-            Rates, then the algebraic variables that equations determine.
-        inputs : list of casadi.SX
-            States, controls, static variables (variables without time) and data (fraction of the
-            horizon and parameters).
-        rest : casadi.SX
-            Column of two further outputs of `_Core.known`: the objective's integrand, and the
-            derivative of time with respect to the fraction of the horizon.
+        `unknowns` are the rates, then the determined algebraic variables. `inputs` are the inputs
+        of `Dynamics._compile`, and `rest` is its second output.
         """
         core, others = _nonlinear_core(rows, unknowns)
         parameters = casadi.vertcat(*inputs)
@@ -943,19 +892,10 @@ class _Core:
 
 
 class _WithoutIterations(Dynamics):
-    """Right-hand side that solves implicit equations by 20 Newton steps.
-
-    In implicit equations, rates (derivatives of the states) or algebraic variables enter
-    nonlinearly. The Newton steps are written out as CasADi expressions. The evaluation of these
-    expressions is faster than CasADi's own Newton iteration.
-    """
+    """Right-hand side that solves implicit equations by 20 Newton steps, written out in CasADi."""
 
     def _implicit_side(self, core: _Core, inputs: list[Any]) -> Any:
-        """Return the right-hand side as a CasADi function with 20 Newton steps written out.
-
-        The Newton steps solve the nonlinear part of the equations in `core`. `inputs` are the
-        symbols of the function's four inputs, as in `Dynamics._compile`.
-        """
+        """Return the right-hand side as a CasADi function with 20 Newton steps written out."""
         stacked = casadi.vertcat(*inputs)
         residual = core.residual(core.inner, stacked)
         slope = casadi.Function(
@@ -972,24 +912,10 @@ class _WithoutIterations(Dynamics):
 
 
 def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int]], ...]:
-    """Split implicit equations into a nonlinear part for Newton's method and a linear rest.
+    """Return (equations, unknowns) of the nonlinear part and of the linear rest, by position.
 
-    The nonlinear part consists of all unknowns that enter an equation nonlinearly, and of the
-    equations that contain only these unknowns. If their numbers differ, the nonlinear part has all
-    equations and all unknowns.
-
-    Parameters
-    ----------
-    rows : casadi.SX
-        Residuals of the equations.
-    unknowns : casadi.SX
-        Rates, then the algebraic variables that equations determine.
-
-    Returns
-    -------
-    ((list of int, list of int), (list of int, list of int))
-        Two pairs, for the nonlinear part and for the rest: positions of the equations in `rows`,
-        and positions of the unknowns in `unknowns`.
+    The nonlinear part has all unknowns that enter an equation nonlinearly, and all equations that
+    contain no other unknowns.
     """
     everything = list(range(unknowns.shape[0]))
     jacobian = casadi.jacobian(rows, unknowns)
@@ -999,7 +925,7 @@ def _nonlinear_core(rows: Any, unknowns: Any) -> tuple[tuple[list[int], list[int
     for row, column in zip(*jacobian.sparsity().get_triplet(), strict=True):
         held[row].add(column)
     own = [k for k in everything if held[k] <= set(inner)]
-    # Newton's method needs as many equations as unknowns.
+    # Newton's method needs as many equations as unknowns. Otherwise, the nonlinear part has all.
     if len(own) != len(inner):
         return (everything, everything), ([], [])
     others = [k for k in everything if k not in own], [k for k in everything if k not in inner]

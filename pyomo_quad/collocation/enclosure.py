@@ -2,8 +2,9 @@
 
 A box is a set of intervals, one for each variable. CasADi compiles an expression to a sequence of
 elementary operations. Each operation is evaluated on the lower and upper bounds of its arguments,
-for many boxes at once (Moore, Interval Analysis, 1966). The bounds are rounded as usual, not
-outwards: an enclosure is accurate to about 1e-14 times the largest magnitude of its values.
+for many boxes at once (Moore, Interval Analysis, 1966). The bounds are rounded to nearest, not
+outwards. An enclosure is therefore accurate to about 1e-14 times the largest magnitude of its
+values.
 """
 
 from __future__ import annotations
@@ -195,16 +196,7 @@ class Enclosure:
 
 
 class _Steps:
-    """Elementary operations of a CasADi function, evaluated one after another on intervals.
-
-    The function has two arguments: variables that range over intervals, and numbers that have
-    single values.
-
-    Parameters
-    ----------
-    function : casadi.Function
-        The CasADi function.
-    """
+    """Elementary operations of a CasADi function (variables, numbers), evaluated on intervals."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -212,22 +204,10 @@ class _Steps:
         self._steps = list(map(self._step, range(function.n_instructions())))
 
     def _step(self, k: int) -> tuple[int, list[int], list[int], float]:
-        """Return the elementary operation number `k` of the CasADi function, counted from 0.
+        """Return operation `k`: CasADi's code, positions of arguments and results, constant.
 
-        Operations pass intermediate results on in CasADi's work array.
-
-        Returns
-        -------
-        int
-            CasADi's code of the operation, such as `casadi.OP_ADD`.
-        list of int
-            Positions of the arguments in the work array. For an operation that reads an input of
-            the function: the number of the input, and the position of the value in the input.
-        list of int
-            Positions of the results in the work array. For an operation that writes an output of
-            the function: the number of the output, and the position of the value in the output.
-        float
-            Value of a constant; 0 for other operations.
+        The positions refer to CasADi's work array. To read an input or write an output, they are
+        its number and the position in it.
         """
         f = self._function
         operation = f.instruction_id(k)
@@ -241,20 +221,9 @@ class _Steps:
         return operation, f.instruction_input(k), f.instruction_output(k), constant
 
     def over(self, low: FloatArray, high: FloatArray, numbers: ArrayLike) -> tuple[Interval, ...]:
-        """Return lower and upper bounds of the function's outputs over n boxes.
+        """Return lower and upper bounds of each output over n boxes, shape (n_rows, n) each.
 
-        Parameters
-        ----------
-        low, high : ndarray, shape (n_variables, n)
-            Lower and upper corners of the boxes, over which the function's first argument ranges.
-        numbers : array_like, shape (n_numbers,)
-            Values of the function's second argument, which are single numbers.
-
-        Returns
-        -------
-        tuple of (ndarray, ndarray)
-            For each output of the function: its lower bounds and its upper bounds. Both arrays have
-            one row per component of the output, and one column per box.
+        The corners `low` and `high` of the boxes have shape (n_variables, n).
         """
         given = np.asarray(numbers, dtype=float)
         held: dict[int, Interval] = {}

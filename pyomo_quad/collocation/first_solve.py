@@ -49,19 +49,15 @@ class FirstSolve(Search[S], Generic[S]):
     Attributes
     ----------
     solve : callable
-        Function (mesh, start, options=, is_scaled=) -> solution on that one mesh. The argument
-        `start` is a guess or a warm start, `options` are settings of Ipopt, and `is_scaled` is
-        whether Ipopt solves the scaled program.
+        Function (mesh, start, options=, is_scaled=) -> solution on that one mesh. `start` is a
+        guess or a warm start, and `is_scaled` states whether Ipopt solves the scaled program.
     finish : callable
-        Function (solver, mesh, start) -> solution. The argument `solver` is again a function,
-        (mesh, start) -> solution on that one mesh. If the caller gave a tolerance, `finish` refines
-        `mesh` until the tolerance is met, and returns the solution on the last mesh. Otherwise
-        `finish` solves once, on `mesh` itself.
+        Function (solver, mesh, start) -> solution, with a function `solver` (mesh, start) for one
+        mesh. If the caller gave a tolerance, the mesh is refined until the tolerance is met.
     judge : callable
-        Function (failed solution) -> solution with a verdict on feasibility. The function minimises
-        the constraint violation near the failed solution. If equations remain violated, the status
-        becomes `INFEASIBLE`, and the message names them. With one horizon, the returned solution is
-        the point of least violation.
+        Function (failed solution) -> solution with a verdict on feasibility. If equations remain
+        violated at the least constraint violation, the status becomes `INFEASIBLE`. With one
+        horizon, the result is the point of least violation.
     mesh : Mesh, list of Mesh, or None
         Initial mesh, a list for several horizons, None for a model without time.
     start : Start
@@ -83,18 +79,15 @@ class FirstSolve(Search[S], Generic[S]):
 
     @cached_property
     def judged(self) -> S:
-        """The failed solution in `first`, with a verdict on the feasibility of the problem.
+        """Result of the failed solve `first`, with a verdict on the feasibility of the problem.
 
-        The verdict states whether the problem is infeasible near the last iterate. At the first
-        access, `judge` minimises the constraint violation for it.
+        At the first access, `judge` computes the verdict.
         """
         return self.judge(self.failed)
 
     @property
     def failed(self) -> S:
         """Result of the failed solve with the caller's own start, mesh and settings.
-
-        The property `judged` has the same result with a verdict on the feasibility of the problem.
 
         Raises
         ------
@@ -108,11 +101,10 @@ class FirstSolve(Search[S], Generic[S]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        This class evaluates two conditions; any other is False. For these two, the first call after
-        the requested solve computes `judged`, which examines the feasibility of the problem.
-
-        - `Fact.JUDGED`: the requested solve has failed, and the examination was not interrupted.
+        - `Fact.JUDGED`: the requested solve has failed, and its examination in `judged` was
+          completed.
         - `Fact.POSSIBLE`: in addition, the examination did not find the problem infeasible.
+        - Any other condition is false here. A subclass may evaluate it.
         """
         is_judged = self.first is not None and self.judged.status is not Status.INTERRUPTED
         if fact is Fact.POSSIBLE:
@@ -140,8 +132,8 @@ class FirstSolve(Search[S], Generic[S]):
     def begun(self, first: First, own: Callable[..., S], mesh: Any) -> S | None:
         """Solve from the initial point that a solution strategy prescribes; return the result.
 
-        This method ignores `first`, and always begins at the warm start or guess that the caller
-        gave. A subclass for a single horizon takes `first` into account.
+        This class knows only one initial point: the warm start or guess that the caller gave. A
+        subclass also uses the initial points that `first` names.
 
         Parameters
         ----------
@@ -156,9 +148,8 @@ class FirstSolve(Search[S], Generic[S]):
         Returns
         -------
         Solution, JointSolution or None
-            Converged or failed result. If the caller gave a tolerance, the result on the last
-            refined mesh. A subclass returns None if the problem has no initial point of the kind
-            `first`.
+            Converged or failed result. A subclass returns None if the problem has no initial point
+            of the kind `first`.
         """
         del first
         return self.finish(own, mesh, self.start)
@@ -166,8 +157,8 @@ class FirstSolve(Search[S], Generic[S]):
     def is_final(self, found: S) -> bool:
         """Return whether `found`, the result of the strategy tried last, ends the search.
 
-        A success or an interruption ends the search. The failure of a fallback strategy does not.
-        The failure of the solve that the caller requested ends the search in two cases:
+        A success or an interruption ends the search. The failure of the solve that the caller
+        requested also does in two cases:
 
         - the solve diverged;
         - the caller allows fewer than 200 iterations.
@@ -182,8 +173,7 @@ class FirstSolve(Search[S], Generic[S]):
     def failure(self, last: S) -> S:
         """Return the result to report if all strategies have failed.
 
-        This is the result of the solve that the caller requested, with a verdict on feasibility.
-        `last`, the result of the strategy tried last, is not used.
+        It is the result of the solve that the caller requested, with a verdict on feasibility.
         """
         del last
         return self.judged
@@ -196,14 +186,12 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     Attributes
     ----------
     bounds_of : callable
-        Function from a nonlinear program on one mesh (a `Transcription`) to the bounds of its
-        unknowns and constraints. The bounds of all conditions (constraints at single times) are
-        included, also those of conditions that follow from other equations.
+        Nonlinear program on one mesh -> bounds of its unknowns and constraints. Redundant
+        conditions (constraints at single times) are included.
     simulate : callable, optional
-        Function without arguments that simulates the model from its initial states and returns the
-        trajectory. The function returns None if the model has controls or free initial states,
-        whose values a simulation would need. The attribute itself is None if the caller gave a
-        guess, a warm start, or no tolerance.
+        Function that simulates the model from its initial states. Its result is None if the model
+        has controls or free initial states. The attribute is None if no simulation may be the
+        initial guess.
     instance : Instance
         Parameter values, horizon and fixed variables of the solve.
     progress : callable or None
@@ -224,8 +212,7 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
     def holds(self, fact: Fact) -> bool:
         """Return whether the condition `fact` is true at this stage of the search.
 
-        This class evaluates the conditions on the horizon, the numbers of equations and unknowns,
-        the mesh and the guess; see `Fact`. The base class evaluates all others.
+        The base class evaluates `Fact.JUDGED` and `Fact.POSSIBLE`.
         """
         known = {
             Fact.ONE_HORIZON: True,
@@ -255,10 +242,9 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         Returns
         -------
         Solution or None
-            Converged or failed result. If the caller gave a tolerance, the result on the last
-            refined mesh. None if the problem has no initial point of the kind `first`.
-            `First.REDUCED` also gives None if the solve fails, or if its solution violates a
-            condition that was left out.
+            Converged or failed result; None if the problem has no initial point of the kind
+            `first`. `First.REDUCED` also gives None if the solve fails or violates a condition that
+            was left out.
         """
         if first is First.GIVEN:
             return self._ended(self.finish(own, mesh, self.start))
@@ -281,32 +267,18 @@ class FirstSolveOfOne(FirstSolve["Solution"]):
         return self.simulate and self.simulate()
 
     def _ended(self, found: Solution) -> Solution:
-        """Return the result `found` of a solve, with a message in two special cases.
+        """Return the result of a solve, with a message if it diverged or has surplus equations.
 
-        If the solve diverged, the message names the unbounded variable. If a solved model has more
-        equations than free unknowns, a note says that some follow from others.
+        The message names the unbounded variable, or says that some equations follow from others.
         """
         diverged = found.status.has_failed and found.ipopt_code == DIVERGED_CODE
         return without_bound(found) if diverged else with_surplus(found)
 
     def _reduced(self, solve_on: Callable[..., Solution], mesh: Mesh | None) -> Solution | None:
-        """Solve without redundant conditions, and check that the solution satisfies them.
+        """Solve without redundant conditions, which follow from other equations.
 
-        A condition is a constraint at a single time. It is redundant if it follows from other
-        equations, such as an end condition on a conserved quantity.
-
-        Parameters
-        ----------
-        solve_on : callable
-            Function (mesh, start, options=, instance=) -> solution on that one mesh.
-        mesh : Mesh or None
-            Initial mesh; None for a model without time.
-
-        Returns
-        -------
-        Solution or None
-            None if no condition is redundant, if the solve fails, or if its solution violates a
-            redundant condition. Also if the search for redundant conditions is interrupted.
+        The result is None if no condition is redundant, if the solve fails, or if its solution
+        violates a redundant condition.
         """
         # Redundant conditions are detected at a point of least constraint violation near the start.
         near = solve_on(mesh, self.start, options=replace(self.options, max_iterations=0))

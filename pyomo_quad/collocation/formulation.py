@@ -54,15 +54,13 @@ class WrittenComponents:
     """CasADi expressions of model components over time, available without the Pyomo model.
 
     In a problem that is restored from a pickle, an object of this class replaces the
-    `TemplateWriter`. The writer translates components on demand, for which it needs the Pyomo
-    model.
+    `TemplateWriter`, which needs the Pyomo model.
 
     Parameters
     ----------
     written : dict
-        Keys are (full name, index without time): for ``x[i, t]`` with the time t, the index without
-        time is (i,). A value is the CasADi expression of the component. If there is no such
-        expression, the value is a text with the reason.
+        (full name, index without time) -> CasADi expression, or a text that says why there is none.
+        For ``x[i, t]``, the index without time is (i,).
     """
 
     def __init__(self, written: dict[tuple[str, tuple[Any, ...]], Any]) -> None:
@@ -104,11 +102,10 @@ class Evaluator:
     Parameters
     ----------
     inputs : tuple of casadi.SX
-        Column vectors of the symbols of five inputs of the functions: rates (derivatives of the
-        states with respect to the fraction of the horizon); states; algebraic variables; static
-        variables, which do not depend on time; and data (fraction of the horizon, time-dependent
-        parameters, constant parameters). The columns of rates and of states cover first the states
-        of the nonlinear program, then the output states.
+        Columns of the symbols of five inputs: rates (derivatives of the states with respect to the
+        fraction of the horizon); states; algebraic variables; static variables; and data (fraction,
+        time-dependent and constant parameters). Rates and states include the output states, which
+        come last.
     writer : TemplateWriter or WrittenComponents
         Source of the expressions of the components.
     """
@@ -137,16 +134,9 @@ class Evaluator:
         return cls(inputs, writer)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the recipe by which `pickle` stores and restores this evaluator.
+        """Return the recipe by which `pickle` stores this evaluator: `_unpacked` and its argument.
 
-        The recipe holds the symbols of the inputs. For each component, it also holds the
-        expression, or the reason why there is none.
-
-        Returns
-        -------
-        callable, tuple
-            The function `_unpacked`, which restores the evaluator, and its argument: the serialised
-            data.
+        If a component has no CasADi expression, the recipe holds the reason as a text.
         """
         written: dict[tuple[str, tuple[Any, ...]], Any] = {}
         for name, index in self._writer.components_over_time():
@@ -159,11 +149,7 @@ class Evaluator:
         return _unpacked, (packed((self.inputs, written)),)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Evaluator:
-        """Return this evaluator itself, which all copies of a formulation can share.
-
-        An evaluator holds no parameter values, and needs no copy. `memo` is required by the
-        protocol of `copy.deepcopy`, and is not used.
-        """
+        """Return this evaluator itself, which holds no parameter values and can be shared."""
         return self
 
     def expression(self, component: Any, index: Any = None) -> Any:
@@ -230,31 +216,16 @@ class Evaluator:
         return self._functions[keys]
 
     def __call__(self, keys: tuple[tuple[str, Any], ...], *inputs: FloatArray) -> FloatArray:
-        """Evaluate components of the model at n points in time.
+        """Evaluate components of the model at n points in time, shape (n, n_keys).
 
-        Parameters
-        ----------
-        keys : tuple of (str, index)
-            For each component: its full name, and its index without the time (i for ``x[i, t]``,
-            None for ``x[t]``).
-        inputs : ndarray, shape (n, k)
-            Five arrays with one row per point: rates (derivatives of the states with respect to the
-            fraction of the horizon); states; algebraic variables; static variables (variables
-            without time); and data (fraction of the horizon and parameters).
-
-        Returns
-        -------
-        ndarray, shape (n, n_keys)
+        The `keys` are those of the method `function`. Each of the five `inputs` has one row per
+        point.
         """
         return MappedFunction(self.function(keys), inputs[0].shape[0])(*inputs)[0]
 
 
 def _unpacked(kept: Packed) -> Evaluator:
-    """Return the evaluator that a pickle contains; the inverse of `Evaluator.__reduce__`.
-
-    `kept` is the content of the pickle: the symbols of the evaluator's inputs and the expressions
-    of all model components, serialised into one text.
-    """
+    """Return the evaluator that a pickle contains; the inverse of `Evaluator.__reduce__`."""
     inputs, written = kept.unpacked()
     return Evaluator(inputs, WrittenComponents(written))
 
@@ -297,8 +268,7 @@ class OutputStates:
     def _start_function(declared: Declarations) -> Any:
         """Return the CasADi function from parameters to initial values of the output states.
 
-        A value follows from the condition that the model declares at the start of the horizon.
-        Without such a condition it is NaN.
+        A value is NaN if no condition at the start of the horizon determines it.
         """
         parameters = stacked([s.symbol for s in declared.parameters])
         values = []
@@ -382,8 +352,7 @@ class OutputStates:
     def _blocks(values: FloatArray, n: int) -> csr_matrix:
         """Return a block-diagonal sparse matrix with an n x n block per collocation point.
 
-        `n` is the number of output states. `values`, shape (n_points, n * n), has in each row the
-        entries of one point's block, column by column as CasADi stores them.
+        A row of `values` has the entries of one block, column by column as CasADi stores them.
         """
         matrices = values.reshape(-1, n, n).transpose(0, 2, 1)
         count = len(matrices)
@@ -431,17 +400,7 @@ class Formulation:
     def _hold(
         self, compiled: CompiledModel, source: LiveModel | ModelSnapshot, evaluator: Evaluator
     ) -> None:
-        """Set all attributes of the formulation.
-
-        Parameters
-        ----------
-        compiled : CompiledModel
-            Equations as CasADi functions.
-        source : LiveModel or ModelSnapshot
-            Source of the model's data: the Pyomo model, or its data from a pickle.
-        evaluator : Evaluator
-            Evaluator of the model's components.
-        """
+        """Set all attributes of the formulation; `source` has the data of the Pyomo model."""
         self.compiled = compiled
         self.source = source
         self.evaluator = evaluator
@@ -450,23 +409,12 @@ class Formulation:
         self._programs: dict[Mesh | None, Transcription] = {}
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Return the recipe by which `pickle` stores this formulation, without the Pyomo model.
-
-        Returns
-        -------
-        callable, tuple
-            The function `_restored`, which restores the formulation, and its arguments: the class
-            of the formulation, the compiled equations, the data of the Pyomo model (such as
-            parameter values), and the evaluator of the model's components.
-        """
+        """Return the recipe by which `pickle` stores this formulation, without the Pyomo model."""
         return _restored, (type(self), self.compiled, self.values.snapshot(), self.evaluator)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return a copy of the formulation together with a copy of its Pyomo model.
-
-        `memo`, from `copy.deepcopy`, maps the identities of the objects copied so far to their
-        copies. The method adds the formulation.
-        """
+        """Return a copy of the formulation together with a copy of its Pyomo model."""
+        # `deepcopy` finds in `memo` the objects that it has copied already.
         memo[id(self)] = other = object.__new__(type(self))
         vars(other).update(deepcopy(vars(self), memo))
         return other
@@ -565,7 +513,8 @@ class Formulation:
         """Return the values of all parameters at the start of the horizon and just after each jump.
 
         The shape is (1 + n_jumps, n_data). The columns are the fraction of the horizon, the
-        time-dependent and the constant parameters. `bounds_of` needs these values.
+        time-dependent and the constant parameters. The function `bounds_of` evaluates bounds with
+        these values.
         """
         after = np.array(instance.jumps) + 2.0 * BESIDE
         return self.data_of(instance, np.concatenate([np.zeros(1), after])).at_points()
@@ -602,8 +551,8 @@ class Formulation:
     def algebraic_limits(self, instance: Instance) -> tuple[FloatArray, FloatArray]:
         """Return lower and upper limits of the algebraic variables, shape (n_algebraics,) each.
 
-        A limit is infinite where none is declared, or where it varies with time. To find out, it is
-        evaluated at four times. `instance` holds the parameter values on which the limits depend.
+        A limit is infinite if none is declared, or if its values at four sampled times differ.
+        `instance` holds the parameter values on which the limits depend.
         """
         compiled, first = self.compiled, len(self.compiled.declared.states)
         data = self.data_of(instance, np.array(_LOOKED_AT)).at_points()
@@ -620,23 +569,7 @@ class Formulation:
 def _compiled(
     model: Any, declared: Declarations, reader: ModelReader
 ) -> tuple[CompiledModel, LiveModel, Evaluator]:
-    """Translate the declarations of a Pyomo model to CasADi functions.
-
-    Parameters
-    ----------
-    model : ConcreteModel
-        The Pyomo model.
-    declared : Declarations
-        The model's variables, equations and limits.
-    reader : ModelReader
-        Reader that read the declarations from the model. The reader also translates the model's
-        components to CasADi.
-
-    Returns
-    -------
-    CompiledModel, LiveModel, Evaluator
-        The compiled equations, the source of the model's data (parameter values, bounds, initial
-        values), and the evaluator of the model's components.
+    """Translate a model to its compiled equations, the source of its data, and its evaluator.
 
     Raises
     ------
@@ -657,12 +590,7 @@ def _restored(
     source: ModelSnapshot,
     evaluator: Evaluator,
 ) -> Formulation:
-    """Return the formulation that a pickle contains; the inverse of `Formulation.__reduce__`.
-
-    `kind` is the formulation's class. `compiled` are its equations as CasADi functions, `source` is
-    the stored data of the Pyomo model, and `evaluator` evaluates the model's components. The
-    formulation has no Pyomo model.
-    """
+    """Return the formulation that a pickle contains; the inverse of `Formulation.__reduce__`."""
     formulation = object.__new__(kind)
     formulation._hold(compiled, source, evaluator)
     return formulation
@@ -685,10 +613,9 @@ class StructuralIndex:
         Structural index: the number of times by which the equations must be differentiated to
         obtain an ODE; 0 for an ODE.
     differentiated : dict
-        Name of an equation -> number of times by which the equation must be differentiated with
-        respect to time. The equations, differentiated as stated, determine the highest derivative
-        of each variable that they contain. Only equations with a number above 0 are listed. For a
-        DAE with algebraic variables, the largest number is `index` - 1.
+        Name of an equation -> number of differentiations with respect to time, if above 0. The
+        differentiated equations determine the highest derivative of each variable that they
+        contain.
     """
 
     index: int
@@ -699,7 +626,7 @@ def structural_index(declared: Declarations) -> StructuralIndex:
     """Return the structural index of the equations over time, by Pryce's signature matrix.
 
     The index is the number of differentiations that turn the equations into an ODE. It is 0 for an
-    ODE, and where the method cannot be applied.
+    ODE. It is also 0 if the equations cannot be assigned to different variables that occur in them.
 
     Source: Pryce (2001), BIT Numerical Mathematics 41, 364-394.
     """

@@ -115,8 +115,8 @@ def first_point(
 ) -> FloatArray:
     """Return an initial point for Ipopt, corrected by means of the model's equations.
 
-    States are moved until they satisfy the equations among states alone. Algebraic variables are
-    adjusted if a constraint, or a first derivative of a constraint or of the objective, is NaN.
+    States are moved until they satisfy the equations among states alone. If a constraint or a first
+    derivative is then NaN, the algebraic variables are adjusted to the equations.
 
     Parameters
     ----------
@@ -129,8 +129,8 @@ def first_point(
     guess : mapping, DataFrame or Trajectory, optional
         The user's initial values of the variables; see `Guess`.
     seed : int, default 0
-        Seed of random numbers. If `seed` is above 0, the function `scattered` draws a random point
-        between the bounds. It replaces the interpolated point of `initial_point`.
+        Seed of random numbers. If it is above 0, a random point of `scattered` replaces the
+        interpolated point of `initial_point`.
 
     Returns
     -------
@@ -147,17 +147,7 @@ def first_point(
 class _Known:
     """Known values for an initial point: fixed values, values in the model, and the guess.
 
-    Attributes
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh, for which the initial point is made.
-    bounds : Bounds
-        Bounds of the program's unknowns. If the two bounds of an unknown are equal, its value is
-        known.
-    values : ModelValues
-        Reader of the values in the Pyomo model.
-    given : mapping or DataFrame
-        The user's guess by variable name, empty if there is none.
+    `given` is the user's guess by variable name, empty if there is none.
     """
 
     program: Transcription
@@ -168,18 +158,8 @@ class _Known:
     def over_time(self, slot: Slot, columns: Any, fractions: FloatArray) -> FloatArray:
         """Return initial values of a variable over time, interpolated between its known values.
 
-        Parameters
-        ----------
-        slot : Slot
-            The variable: one member of a Pyomo variable, for example ``rotors.omega[1]``.
-        columns : ndarray of int, shape (n,)
-            Positions of its values among the unknowns of the program.
-        fractions : ndarray, shape (n,)
-            Times of these values as fractions of the horizon.
-
-        Returns
-        -------
-        ndarray, shape (n,)
+        `columns` are the positions of the n values among the unknowns, and `fractions` are their
+        times.
         """
         if slot.name in self.given:
             return self._guess_at(slot.name, fractions)
@@ -198,9 +178,8 @@ class _Known:
     def _guess_at(self, name: str, fractions: FloatArray) -> FloatArray:
         """Return the user's guess of the variable `name` at n fractions of the horizon, shape (n,).
 
-        The entry `name` of the guess is a function of time, a constant, or samples. Samples are
-        interpolated linearly between the times in the entry "time". If start or end of the horizon
-        is a variable, functions take the fraction of the horizon, and samples span the horizon.
+        If an end of the horizon is a variable, functions take the fraction, and samples span the
+        horizon.
         """
         times = np.array([self.program.time_of(float(f)) for f in fractions])
         held = self.given[name]
@@ -220,10 +199,9 @@ class _Known:
         return np.interp(times, at, samples)
 
     def with_defined_algebraics(self, z: FloatArray) -> FloatArray:
-        """Compute the algebraic variables that equations define and that have no known value.
+        """Return a copy of `z` with values of the algebraic variables that equations define.
 
-        The result is a copy of the initial point `z` with these values, moved inside the bounds. If
-        a computed value is infinite or NaN, the result is `z` itself.
+        Known values are kept. If a computed value is infinite or NaN, the result is `z` itself.
         """
         program, bounds = self.program, self.bounds
         columns = program.layout.algebraic_columns
@@ -245,12 +223,7 @@ class _Known:
         return np.clip(moved, bounds.lower, bounds.upper) if np.all(np.isfinite(moved)) else z
 
     def order_times(self, z: FloatArray) -> None:
-        """Set the free times in the initial point `z`, in increasing order.
-
-        A free time is a static variable of the model: a physical time that the solve determines. If
-        neither guess nor model gives its value, it begins at the time declared in the continuous
-        set. The array `z` is changed in place.
-        """
+        """Set the free times, which the solve determines, in increasing order in `z` in place."""
         program, bounds = self.program, self.bounds
         statics, clock = program.compiled.declared.statics, program.compiled.declared.clock
         slots = {slot.name: k for k, slot in enumerate(statics)}
@@ -391,9 +364,9 @@ _LARGEST_BOUND = 1e6
 def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) -> FloatArray:
     """Return a random initial point inside the bounds.
 
-    A static variable gets one random value. A variable over time gets four, at equally spaced
-    times, and is linear between them. If both bounds are below 1e6 in magnitude, the values are
-    uniformly distributed between them. Otherwise they are normally distributed around `z`.
+    The values are uniformly distributed between bounds below 1e6 in magnitude, otherwise normally
+    distributed around `z`. A variable over time is linear between four random values at equally
+    spaced times.
 
     Parameters
     ----------
@@ -435,10 +408,10 @@ def scattered(program: Transcription, bounds: Bounds, z: FloatArray, seed: int) 
 
 
 def _inside(number: float, bounds: Bounds, column: int) -> float:
-    """Return the initial value `number` of the unknown `column`, moved inside its bounds.
+    """Return the initial value `number`, moved inside the bounds of the unknown `column`.
 
-    If the value is NaN or outside, and both bounds are finite, the result is their middle. If only
-    one bound is finite, the result is this bound. If none is finite, the result for NaN is inf.
+    A value outside becomes the middle of finite bounds, or the only finite bound. Without finite
+    bounds, NaN becomes inf.
     """
     lower, upper = bounds.lower[column], bounds.upper[column]
     if lower <= number <= upper:
@@ -457,10 +430,7 @@ def known_names(declared: Declarations) -> set[str]:
 
 
 def _refuse_unknown_names(program: Transcription, guess: Mapping[str, Any] | pd.DataFrame) -> None:
-    """Raise an error if a name in a user's guess is no variable of the model.
-
-    The keys or columns of `guess` are names of variables, or "time" for the times of samples.
-    """
+    """Raise an error if a name in a user's guess is neither a variable nor "time"."""
     known = known_names(program.compiled.declared)
     for name in guess:
         if name not in known:

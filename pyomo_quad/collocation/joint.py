@@ -92,7 +92,7 @@ class JointSolution(Outcome):
     def parts(self) -> tuple[Solution, ...]:
         """Solutions on the horizons, one per horizon.
 
-        Status, error and history of each solution are copied from the joint solve.
+        Each solution has the status, the error and the history of the joint solve.
         """
         shared = [f.name for f in fields(Outcome) if f.name not in _OWN]
         whole = {name: getattr(self, name) for name in shared}
@@ -223,10 +223,9 @@ class JointProblem(Summarised):
         variables that the set indexes. Constraints on values at the ends of horizons, on integrals
         and on static variables may couple the horizons.
     times : mapping, optional
-        Free times of each horizon, by the name of its continuous set, for example {"flight": {1.0:
-        m.T1}}. The key 1.0 is a declared time (a member of the set), and its value is a static
-        variable. The solve determines this variable: the physical time at which the conditions
-        declared at 1.0 hold.
+        Physical times that the solve determines, by the name of the continuous set. For example,
+        {"flight": {1.0: m.T1}} makes the static variable `m.T1` the physical time of all conditions
+        declared at 1.0 in the set "flight".
 
     Attributes
     ----------
@@ -283,16 +282,14 @@ class JointProblem(Summarised):
         Parameters
         ----------
         mesh : Mesh or mapping, optional
-            A mesh for all horizons, or a mapping from the names of the continuous sets to meshes.
-            If a `tolerance` is given, these are only the initial meshes. Element boundaries are
-            added at conditions, fixed values and jumps of parameters. By default, the initial
-            meshes are those of the warm start, or `first_mesh` of `refinement`.
+            One mesh for all horizons, or a mapping from the names of the continuous sets to meshes;
+            only the initial meshes if a `tolerance` is given. Element boundaries are added at
+            conditions, fixed values and jumps of parameters. By default, the meshes of the warm
+            start, or `first_mesh` of `refinement`.
         guess : mapping, optional
-            Initial values by the name of a variable: a function of time, a constant, or samples.
-            The key "time" maps to the times of all samples. A key may also be the name of a
-            continuous set. The value of this key is a mapping with the initial values of the
-            variables over this set. The mapping replaces all other initial values of these
-            variables.
+            Initial values by the name of a variable: a function of time, a constant, or samples at
+            the times under the key "time". The name of a continuous set maps to a guess for the
+            variables over it, which replaces all other initial values of these variables.
         warm_start : JointSolution or tuple of WarmStart, optional
             Solution of the same model on any meshes.
         horizon : None
@@ -372,11 +369,7 @@ class JointProblem(Summarised):
         )
 
     def _refuse_of_one_horizon(self, horizon: tuple[float, float] | None, starts: int) -> None:
-        """Raise an error for arguments of `solve` that are not supported for several horizons.
-
-        These arguments are `horizon` (start and end of the only horizon), which must be None, and
-        `starts` (number of initial points), which must be 1.
-        """
+        """Raise an error for arguments of `solve` that only problems with one horizon support."""
         names = ", ".join(self.horizons)
         if horizon is not None:
             raise TranscriptionError(
@@ -389,10 +382,7 @@ class JointProblem(Summarised):
             )
 
     def _meshes(self, mesh: Mesh | Mapping[str, Mesh] | None) -> list[Mesh | None]:
-        """Return a list with the mesh of each horizon, in the order of the horizons.
-
-        `mesh` is one mesh for all horizons, or a mapping from their names to meshes. If it is None,
-        all entries of the list are None.
+        """Return the mesh of each horizon, or None for each horizon if `mesh` is None.
 
         Raises
         ------
@@ -418,16 +408,14 @@ class JointProblem(Summarised):
         return [*self.horizons.values(), self.coupling]
 
     def _guesses(self, guess: Mapping[str, Any] | None) -> list[Any]:
-        """Split the user's guess into one guess per horizon, and a guess for all other variables.
+        """Split the user's guess into one per horizon, and one for all other variables.
 
-        If `guess` has an item with the name of a horizon, this item is the guess for the horizon.
-        All other guesses for the horizon's variables are then ignored. The last item of the result
-        is the guess for variables that belong to no horizon.
+        An item with the name of a horizon replaces all other guesses for its variables.
 
         Raises
         ------
         TranscriptionError
-            If a name in the guess is neither a horizon nor a variable.
+            If a name is unknown.
         """
         guess = {} if guess is None else guess
         known = [known_names(part.compiled.declared) for part in self._parts]
@@ -473,36 +461,10 @@ class JointProblem(Summarised):
         change: float | None = None,
         iteration_limit: float = inf,
     ) -> JointSolution:
-        """Solve the joint nonlinear program once, with a given mesh per horizon.
+        """Solve the joint nonlinear program once, with arguments as in `Problem.solve_on_mesh`.
 
-        Parameters
-        ----------
-        meshes : sequence of Mesh
-            One mesh for each horizon.
-        start : Start
-            Initial point: a guess or a warm start.
-        dampings : tuple of Damping or None
-            For each horizon, penalty on the distance of the controls from the controls that were
-            found on the previous mesh; None for no penalty.
-        instances : list of Instance
-            Parameter values, for each horizon and the coupling of the horizons.
-        options : SolverOptions
-            Settings of Ipopt.
-        progress : callable or None
-            Called at each iteration; returning False stops the solve.
-        is_scaled : bool, default True
-            Whether Ipopt solves the scaled program; if False, Ipopt solves the unscaled program.
-        change : float, optional
-            Expected difference between the objective and its value at the warm start, in the unit
-            of the objective. The expected difference determines the initial barrier parameter. It
-            has no effect without a warm start, or with damping.
-        iteration_limit : float, optional
-            Limit of Ipopt's iterations; the limit in `options` holds too.
-
-        Returns
-        -------
-        JointSolution
-            Result on these meshes, converged or failed.
+        `meshes` and `dampings` have one entry per horizon. `instances` has one more, for the
+        coupling.
         """
         parts = self._parts
         chosen = [
@@ -543,9 +505,7 @@ class JointProblem(Summarised):
     ) -> JointSolution:
         """Return a failed solution with a verdict: whether its problem is infeasible.
 
-        The verdict follows from the least sum of constraint violations that Ipopt finds near the
-        last iterate. If `progress` returns False, the minimisation stops, and the status becomes
-        `INTERRUPTED`. If the last iterate is not finite, the solution is returned unchanged.
+        The verdict follows from the least sum of constraint violations near the last iterate.
         """
         parts = [*failed.horizons.values(), failed.coupling]
         union = Union([part.program for part in parts], self._states)
@@ -589,21 +549,7 @@ class JointProblem(Summarised):
         bounds: Bounds,
         scaling: Scaling,
     ) -> JointSolution:
-        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon.
-
-        Parameters
-        ----------
-        union : Union
-            The joint program, with the positions of each horizon's unknowns.
-        instances : list of Instance
-            Parameter values, for each horizon and the coupling of the horizons.
-        result : IpoptResult
-            Ipopt's result on the joint program.
-        bounds : Bounds
-            Bounds of the joint program.
-        scaling : Scaling
-            Scaling factors of the joint program.
-        """
+        """Return the `JointSolution` of Ipopt's result, with a solution on each horizon."""
         found = [
             solution_from(
                 part,
@@ -632,10 +578,9 @@ class JointProblem(Summarised):
     def _first_point(
         self, union: Union, bounds: Bounds, start: Start
     ) -> tuple[FloatArray, Multipliers | None]:
-        """Return the initial point of the joint program, and the multipliers of a warm start.
+        """Return the initial point of the joint program inside `bounds`, and its multipliers.
 
-        The point has shape (n_unknowns,) and lies inside `bounds`. The multipliers are None if
-        `start` has no warm start.
+        The multipliers are None if `start` has no warm start.
         """
         if start.warm is not None:
             starts = zip(start.warm, union.programs, strict=True)
@@ -653,21 +598,10 @@ class JointProblem(Summarised):
         return np.clip(z, bounds.lower, bounds.upper), None
 
     def _set_links(self, union: Union, program: Transcription, z: FloatArray, places: Any) -> None:
-        """Compute the values of one horizon that the coupling uses, and write them to `z`.
+        """Set the static variables in `z` that stand for values of one horizon in the coupling.
 
-        The coupling has a static variable (a variable without time) for each such value. An example
-        is the derivative of a state at the end of the horizon.
-
-        Parameters
-        ----------
-        union : Union
-            Positions of the static variables in the joint program.
-        program : Transcription
-            Nonlinear program of the horizon.
-        z : ndarray
-            Unknowns of the joint program, changed in place.
-        places : ndarray of int
-            Positions of the horizon's unknowns in `z`.
+        An example is the derivative of a state at the end of the horizon. `places` are the
+        positions of the horizon's unknowns.
         """
         if program.mesh is None:
             return
@@ -678,11 +612,7 @@ class JointProblem(Summarised):
                 z[union.statics[name]] += off
 
     def _refuse_unsolvable(self, union: Union, bounds: Bounds, z: FloatArray) -> None:
-        """Raise an error if the joint program cannot be evaluated or its equations cannot be met.
-
-        The program cannot be evaluated if a constraint, the objective or a derivative is infinite
-        or NaN at `z`. The function `refuse_overdetermined` checks the equations.
-        """
+        """Raise an error if the joint program is not finite at `z` or its equations contradict."""
         held = set()
         for k, program in enumerate(union.programs):
             refuse_not_finite(program, z[union.places[k]])
@@ -722,10 +652,8 @@ def compiled_of(model: Any, final_time: Any = None, times: FreeTimes | None = No
         Static variable (variable without time) that is the free end of the only horizon; not
         allowed for several horizons.
     times : mapping, optional
-        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-        continuous set), and the value is a static variable. The solve determines this variable: the
-        physical time at which the conditions declared at 1.0 hold. For several horizons: a mapping
-        from the name of each continuous set to its free times.
+        Physical times that the solve determines; see `Problem`. For several horizons: such a
+        mapping for the name of each continuous set; see `JointProblem`.
 
     Returns
     -------

@@ -22,7 +22,7 @@ class Violation:
     size : float
         Amount by which the limit is exceeded, in the limit's unit; 0 if the limit is satisfied.
     bound : float
-        Value of the limit at the time of the worst violation; 0 if it is infinite.
+        Value of the limit at the time of the worst violation; 0 if this value is infinite.
     time : float
         Physical time of the worst violation. For a satisfied limit, the time at which the quantity
         is nearest to it.

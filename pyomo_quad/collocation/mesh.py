@@ -94,7 +94,7 @@ def interpolation_matrix(nodes: FloatArray, targets: FloatArray) -> FloatArray:
 def _square_differentiation(nodes: FloatArray) -> FloatArray:
     """Return the matrix that maps a polynomial's values at nodes to its slopes at the same nodes.
 
-    `nodes` are n distinct points in the unit interval; the matrix has shape (n, n).
+    The `nodes` are distinct points in the unit interval.
     """
     weights = barycentric_weights(nodes)
     difference = nodes[:, None] - nodes[None, :]
@@ -356,10 +356,9 @@ class Timeline:
 
     @cached_property
     def _phases(self) -> tuple[list[float], list[tuple[float, float, float]]]:
-        """Data of the phases as Python numbers, for the method `fraction_at`.
+        """Phases as Python numbers: the times between phases, and a tuple for each phase.
 
-        The first list holds the physical times between phases. The second holds, for each phase,
-        its first physical time, its first fraction, and the fraction per unit of time.
+        The tuple is (first physical time, first fraction, fraction per unit of time).
         """
         slopes = np.diff(self.fractions) / np.diff(self.times)
         columns = self.times[:-1].tolist(), self.fractions[:-1].tolist(), slopes.tolist()

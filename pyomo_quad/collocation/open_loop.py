@@ -83,7 +83,7 @@ class OpenLoopSteps:
         Raises
         ------
         SolveError
-            If 300 steps, rejected ones included, do not suffice between two neighbouring times.
+            If 300 steps do not reach the next of the given times; rejected steps count, too.
         """
         jumps = self._dynamics.steps_between(float(times[0]), float(times[-1]))
         ends = np.union1d(times, jumps)
@@ -105,8 +105,7 @@ class OpenLoopSteps:
     ) -> FloatArray:
         """Return the joint state at the end of a time span that needs several steps.
 
-        `joint` is the joint state at the start of `span` [s]. `control` returns the controls at
-        times [s]. Steps whose error is above `tolerance`, absolute and relative, are halved.
+        Steps whose error is above `tolerance` are halved.
 
         Raises
         ------
@@ -131,10 +130,10 @@ class OpenLoopSteps:
     def _inputs(
         self, starts: FloatArray, ends: FloatArray, control: Callable[[FloatArray], FloatArray]
     ) -> Iterator[tuple[Any, ...]]:
-        """Return the times and the inputs of n Runge-Kutta steps, one tuple per step.
+        """Return the times and inputs of n Runge-Kutta steps, one tuple per step.
 
-        A tuple has five items: start [s], end [s], time-dependent inputs at all stages, controls at
-        all stages, and duration [s]. `control` returns the controls at times [s].
+        The tuple is (start [s], end [s], time-dependent inputs, controls, duration [s]). Inputs and
+        controls are given at all stages.
         """
         widths = ends - starts
         times = starts[:, None] + widths[:, None] * DOP853.C
@@ -150,8 +149,8 @@ class OpenLoopSteps:
     ) -> tuple[FloatArray, float]:
         """Return the joint state after one step, and the step's error relative to the tolerance.
 
-        The error is infinite if the new state is not finite. `inputs` are the last three items of a
-        tuple from `_inputs`. `tolerance` is absolute and relative.
+        The error is infinite if the state is not finite. `inputs` are the last three items from
+        `_inputs`.
         """
         outputs = self._step(joint[None, :], *(values[None, :] for values in inputs))
         after, high, low = (output[0] for output in outputs)
@@ -166,18 +165,8 @@ class OpenLoopSteps:
 def _step(rates: Any) -> Any:
     """Return one step of DOP853 as a CasADi function.
 
-    Parameters
-    ----------
-    rates : casadi.Function
-        (time-dependent inputs of the equations, joint state, controls) -> (time derivative of the
-        joint state, controls).
-
-    Returns
-    -------
-    casadi.Function
-        (joint state, time-dependent inputs at all stages, controls at all stages, duration of the
-        step) -> (joint state at the end of the step, its error by the estimate of order 5, and by
-        the estimate of order 3). The inputs at all stages are one column, stage after stage.
+    It maps joint state, inputs and controls at all stages, and duration to the new joint state and
+    its errors by the estimates of order 5 and 3.
     """
     n_moment, n_joint, n_controls = (rates.numel_in(k) for k in range(3))
     joint, width = casadi.MX.sym("joint", n_joint), casadi.MX.sym("width")

@@ -67,10 +67,9 @@ def packed(data: Any) -> Packed:
 
 
 def _changed(data: Any, kind: type, change: Callable[[Any], Any]) -> Any:
-    """Return a copy of nested data in which all objects of the type `kind` are replaced.
+    """Return a copy of nested data in which `change` replaces all objects of the type `kind`.
 
-    `data` may consist of data classes, tuples and dictionaries, which are searched recursively. The
-    function `change` takes an object of the type `kind` and returns its replacement.
+    Data classes, tuples and dictionaries are searched recursively.
     """
     if isinstance(data, kind):
         return change(data)

@@ -72,10 +72,9 @@ class Problem(Summarised, Formulation):
         Static variable of the model (variable without time) that becomes the end of the horizon.
         The end of the continuous set then only serves to declare boundary conditions.
     times : mapping, optional
-        Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-        continuous set), and the value is a static variable. The solve determines this variable: the
-        physical time at which the conditions declared at 1.0 hold. Declared times between two free
-        times are mapped to physical times by linear interpolation.
+        Physical times that the solve determines. For example, {1.0: m.T1} makes the static variable
+        `m.T1` the physical time of all conditions declared at 1.0 in the continuous set. Declared
+        times between two such times are mapped linearly.
 
     Raises
     ------
@@ -142,11 +141,10 @@ class Problem(Summarised, Formulation):
         horizon : (float, float), optional
             Start and end of the horizon, in place of the ends of the continuous set.
         guess : mapping, optional
-            Initial values by the name of a variable, as in ``rotors.omega[1]``: a function of time,
-            a constant, or samples. The key "time" maps to the times of all samples. The DataFrame
-            that `Solution.to_frame` returns is a mapping of this kind. If start or end of the
-            horizon is a variable, functions take the fraction of the horizon, and samples span the
-            horizon from its start to its end. A `Trajectory` on any mesh is accepted, too.
+            Initial values by the name of a variable, such as ``rotors.omega[1]``: a function of
+            time, a constant, or samples at the times under the key "time". A `Trajectory` and the
+            DataFrame of `Solution.to_frame` are accepted, too. If an end of the horizon is a
+            variable, functions take the fraction of the horizon, and samples span the horizon.
         warm_start : Solution or WarmStart, optional
             Solution of the same model on any mesh; its trajectory and multipliers are the initial
             point.
@@ -207,34 +205,7 @@ class Problem(Summarised, Formulation):
     ) -> Solution:
         """Solve from a warm start or guess; refine the mesh if a tolerance is given.
 
-        Random initial points may be tried first, on the first mesh only (see `starts`).
-
-        Parameters
-        ----------
-        start : Start
-            Warm start or guess.
-        progress : callable
-            Called at each iteration of Ipopt; returning False stops the solve.
-        options : SolverOptions
-            Settings of Ipopt.
-        tolerance : float or None
-            Required relative error of the states; None for a solve on one mesh.
-        refinement : RefinementOptions
-            Settings of the mesh refinement.
-        mesh : Mesh or None
-            Initial mesh; None if the caller gave none.
-        starts : int
-            Number of initial points on the first mesh: `start`, and `starts` - 1 random points. If
-            `starts` is above 1, the program on the first mesh is solved from each of these points,
-            and the best optimum becomes the warm start of the actual solve. If no optimum is found,
-            the actual solve begins from `start`.
-        instance : Instance
-            Parameter values, horizon and fixed variables of this solve.
-
-        Returns
-        -------
-        Solution
-            Result on the last mesh.
+        If `starts` is above 1, the best optimum on the first mesh becomes the warm start.
         """
         if self.has_horizon and tolerance is not None:
             options = options.suiting(tolerance)
@@ -253,6 +224,8 @@ class Problem(Summarised, Formulation):
             start = start if best is None else replace(start, warm=best.warm_start)
         is_open = start.warm is None and tolerance is not None
         simulate = None
+        # A simulation is the initial point only if the caller gave a tolerance, but neither a guess
+        # nor a warm start.
         if is_open and start.guess is None and first is not None:
             simulate = partial(self._simulated, first, instance)
 
@@ -282,21 +255,10 @@ class Problem(Summarised, Formulation):
         return first_success(Scope.FIRST, search)
 
     def _simulated(self, mesh: Mesh, instance: Instance) -> Trajectory | None:
-        """Simulate a model without controls from its initial states, as an initial guess.
+        """Return a simulation of the model from its initial states as a guess, or None.
 
-        `mesh` is the mesh of the guess; element boundaries are added where the solve needs them,
-        for example at jumps of parameters.
-
-        Returns
-        -------
-        Trajectory or None
-            Simulated trajectory, with states clipped to 1e12 in magnitude. None in each of these
-            cases:
-
-            - the model cannot be simulated, has controls, or has a free initial state;
-            - the model has output states, on which neither the objective nor other equations
-              depend;
-            - the simulated states are infinite or NaN.
+        The result is None if the model has controls, free initial states or output states, or if
+        the simulation fails.
         """
         mesh = mesh.with_breakpoints(self.required_breakpoints(instance))
         program, declared = self.program(mesh, instance), self.compiled.declared
@@ -321,6 +283,7 @@ class Problem(Summarised, Formulation):
         ]
         return replace(
             guessed,
+            # The states are clipped to 1e12 in magnitude.
             states=np.clip(states, -_LARGEST_STATE, _LARGEST_STATE),
             algebraics=np.column_stack([none, *algebraics]),
         )
@@ -329,9 +292,7 @@ class Problem(Summarised, Formulation):
     def _best_of(starts: int, solve: Callable[..., Solution], first: Start) -> Solution | None:
         """Solve from the given start and from `starts` - 1 random points; return the best optimum.
 
-        `solve` maps a start to the solution on the first mesh. The result is None if no solve
-        converged. A random point at which an equation is undefined is skipped. After an
-        interruption, no further points are tried.
+        The result is None if no solve converged.
         """
         found = []
         for seed in range(starts):
@@ -367,9 +328,8 @@ class Problem(Summarised, Formulation):
         Parameters
         ----------
         mesh : Mesh or None
-            None for a model without time. Element boundaries are added at the times of three kinds
-            of events: a constraint at a single time, a fixed value of a variable, and a jump of a
-            parameter.
+            None for a model without time. Element boundaries are added at constraints at single
+            times, fixed values, and jumps of parameters.
         start : Start, optional
             Initial point: a guess or a warm start; by default the values that the variables of the
             Pyomo model have.
@@ -385,16 +345,15 @@ class Problem(Summarised, Formulation):
             Whether to continue until the complementarity gap (the sum of multipliers times slacks)
             is negligible relative to the objective.
         change : float, optional
-            Expected difference between the objective and its value at the warm start, in the unit
-            of the objective. The expected difference determines the initial barrier parameter. It
-            has no effect without a warm start, or with damping.
+            Expected change of the objective from its value at the warm start, in its unit. It
+            determines the initial barrier parameter. It is ignored without a warm start, or with
+            damping.
         iteration_limit : float, optional
             Limit of Ipopt's iterations; the limit in `options` holds too.
         breach : float, optional
             Allowed violation of the variables' bounds between the collocation points, relative to
-            max(1, abs(bound)). If `breach` is finite and `start` is a warm start, additional
-            constraints of the program limit the violation to this amount. They act only in elements
-            where the warm start is near a bound.
+            max(1, abs(bound)). If it is finite and `start` is a warm start, constraints limit the
+            violation in elements where the warm start is near a bound.
         progress : callable, optional
             Called at each iteration; returning False stops the solve.
 
@@ -523,26 +482,7 @@ def _refined(
 ) -> Solution:
     """Solve with mesh refinement on one horizon.
 
-    This function calls `refine`, which accepts several horizons, with tuples of one mesh.
-
-    Parameters
-    ----------
-    own : callable
-        Function that solves the program on one mesh and returns the solution. Its arguments are
-        those of `Problem.solve_on_mesh` (mesh, start, damping and further settings).
-    mesh : Mesh
-        Initial mesh.
-    start : Start
-        Initial point on that mesh: a guess or a warm start.
-    tolerance : float
-        Required relative error of the states.
-    refinement : RefinementOptions
-        Settings of the mesh refinement.
-
-    Returns
-    -------
-    Solution
-        Result on the final mesh.
+    `own` solves on one mesh, with the arguments of `Problem.solve_on_mesh`.
     """
 
     def on_meshes(
@@ -559,6 +499,7 @@ def _refined(
         at_found = replace(start, warm=found.warm_start)
         return own(found.mesh, at_found, dampings[0], is_gap_reduced=True, change=change)
 
+    # `refine` accepts several horizons; tuples of one mesh stand for one horizon.
     return refine(
         on_meshes,
         meshes=(mesh,),

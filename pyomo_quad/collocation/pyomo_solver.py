@@ -1,8 +1,8 @@
 """Pyomo solver for optimal control problems: ``SolverFactory("pyomo_quad").solve(model)``.
 
-The solver accepts a continuous model, a model that `pyomo.dae` has discretised already, and a model
-without time (a plain nonlinear program). A continuous model is transcribed by Radau collocation
-with mesh refinement. Ipopt solves the nonlinear programs.
+The solver accepts a continuous model, a model that `pyomo.dae` has already discretised, and a model
+without time. A continuous model is transcribed by Radau collocation with mesh refinement. Ipopt
+solves the nonlinear programs.
 """
 
 from __future__ import annotations
@@ -62,9 +62,8 @@ class PyomoSolver:
     Parameters
     ----------
     **options
-        Options of Ipopt by name, for all solves. They can also be given as a dictionary under the
-        name `options`. The argument `options` of `solve` supplements or overrides them for a single
-        solve. The name `solver_io` is ignored.
+        Options of Ipopt for all solves, by name or as a dictionary named `options`. The argument
+        `options` of `solve` overrides them for a single solve. The name `solver_io` is ignored.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -116,14 +115,13 @@ class PyomoSolver:
         logfile : str or Path, optional
             File to which a line for each iteration is written.
         keepfiles : bool, optional
-            Write the line for each iteration to a temporary file and print the file's name, if no
-            `logfile` is given.
+            If no `logfile` is given, write the lines to a temporary file and print the file's name.
         timelimit : float, optional
             Wall-clock time limit [s] for all meshes together; it replaces the Ipopt option
             `max_wall_time`.
         warmstart : bool, optional
-            Start from the trajectory and multipliers of the last solve of this model by this solver
-            that converged. Without it, the values of the model's variables are the initial point.
+            Start from trajectory and multipliers of this solver's last converged solve of this
+            model. By default, the solve starts from the values of the model's variables.
         options : dict, optional
             Ipopt options by name.
         load_solutions : bool, optional
@@ -135,20 +133,18 @@ class PyomoSolver:
             Static variable (variable without time) that is the free end of the horizon, for a model
             with one continuous set.
         times : mapping, optional
-            Free times, for example {1.0: m.T1}. The key 1.0 is a declared time (a member of the
-            continuous set), and the value is a static variable. The solve determines this variable:
-            the physical time at which the conditions declared at 1.0 hold. For a model with several
-            continuous sets: name of the set -> mapping of this kind.
+            Free times: member of the continuous set -> static variable. With {1.0: m.T1},
+            conditions declared at 1.0 hold at the physical time m.T1, which the solve determines.
+            For several continuous sets: name of the set -> mapping of this kind.
         **arguments
             Further arguments of `Problem.solve`, such as `tolerance`, `mesh` and `guess`.
 
         Returns
         -------
         SolverResults
-            The result that every Pyomo solver returns, for example for
-            `assert_optimal_termination`. Its additional attribute `solution_on_mesh` is a
-            `Solution`, with the trajectories and multipliers on the final mesh. For a model with
-            several continuous sets, it is a `JointSolution`.
+            Pyomo's usual result. Its additional attribute `solution_on_mesh` is a `Solution`, with
+            the trajectories and multipliers on the final mesh. For a model with several continuous
+            sets, it is a `JointSolution`.
 
         Raises
         ------
@@ -187,18 +183,9 @@ class PyomoSolver:
 
 
 def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) -> None:
-    """Raise an error if `PyomoSolver.solve` was called with an unknown keyword argument.
-
-    Parameters
-    ----------
-    arguments : dict
-        Keyword arguments that `PyomoSolver.solve` passes on to the method `solve` of the problem.
-        An argument that this method does not accept is unknown. The argument `progress` counts as
-        unknown, too: `PyomoSolver.solve` sets it itself, to print the iterations.
-    problem : Problem or JointProblem
-        Compiled problem.
-    """
+    """Raise an error for a keyword argument that `PyomoSolver.solve` does not take."""
     known = {*signature(PyomoSolver.solve).parameters, *signature(problem.solve).parameters}
+    # A caller may not give `progress`, because `PyomoSolver.solve` sets it to print the iterations.
     taken = known - {"self", "model", "arguments", "progress"}
     for name in arguments.keys() - taken:
         raise TranscriptionError(
@@ -207,10 +194,7 @@ def _refuse_unknown(arguments: dict[str, Any], problem: Problem | JointProblem) 
 
 
 def _results(problem: Problem | JointProblem, solution: Solution | JointSolution) -> SolverResults:
-    """Convert a solution to Pyomo's `SolverResults`, with Pyomo's termination condition.
-
-    `problem` is the compiled problem that was solved, and `solution` is its solution.
-    """
+    """Convert a solution to Pyomo's `SolverResults`, with Pyomo's termination condition."""
     results = SolverResults()
     results.solver.name = "pyomo_quad"
     ended = _TERMINATION[solution.status]
@@ -231,11 +215,7 @@ def _results(problem: Problem | JointProblem, solution: Solution | JointSolution
 
 
 def _printed(writers: list[Callable[[str], Any]]) -> Callable[[Iteration], None]:
-    """Return a progress callback that writes a line of text for each iteration of Ipopt.
-
-    `writers` are functions that take the line and write it, to the terminal or to a file. All of
-    them are called.
-    """
+    """Return a progress callback that passes a line of text for each iteration to all `writers`."""
 
     def write(line: Iteration) -> None:
         text = (

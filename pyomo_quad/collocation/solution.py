@@ -145,29 +145,26 @@ class Outcome(Summarised):
     message : str
         Reason why the solve ended, in one sentence.
     objective : float
-        Value of the objective as the Pyomo model declares it, whether minimised or maximised.
-        Integrals are computed by Radau quadrature at the collocation points.
+        Value of the objective as the Pyomo model declares it. Integrals are computed by Radau
+        quadrature at the collocation points.
     iterations : tuple of Iteration
         Ipopt's progress in the last solve.
     wall_s : float
         Wall-clock time of the last solve [s].
     error_estimate : float
-        Largest estimated relative error of any kind, for example of a state or of the objective;
-        infinite if not estimated. For the kinds, see `collocation.refining.error.ErrorEstimate`.
+        Largest estimated relative error of any kind, infinite if not estimated. For the kinds, see
+        `collocation.refining.error.ErrorEstimate`.
     state_error : float
-        Estimated distance of the states from the optimal states, relative to the magnitudes of the
-        states. It is at least the sum of the errors of all elements. It can be larger in two cases:
-        limits become active or inactive inside elements, or the solution has a singular arc (zero
-        switching function). On a singular arc, even larger errors of the states hardly change the
-        objective. Infinite if not estimated.
+        Estimated distance of the states from the optimal states, relative to their magnitudes;
+        infinite if not estimated.
     history : tuple of MeshRecord
         One record per mesh; empty without refinement.
     cold_start : ColdStart or None
-        Numbers of iterations that a solve from the guess (cold start) took. A solve from a warm
-        start takes these numbers over from the warm start.
+        Numbers of iterations of a solve from a guess (cold start). A solve from a warm start takes
+        them from the warm start.
     tried : tuple of str
-        Name and status of each solution strategy that was tried, except on meshes where the first
-        one succeeded. A restart of the refinement has only its name.
+        Name and status of each solution strategy that was tried. A mesh on which the first one
+        succeeded has no entry.
     """
 
     status: Status
@@ -237,8 +234,8 @@ class Solution(Outcome):
     scaling : Scaling
         Scaling factors of the program.
     restraint : Restraint or None
-        Estimated increase of the objective by bounds that are imposed between the collocation
-        points, for each element; None if bounds are imposed at the collocation points only.
+        For each element, estimated cost of bounds between the collocation points; None if bounds
+        are imposed at the points only.
     notes : tuple of str
         Warnings of the solve itself, one line each.
     """
@@ -283,10 +280,9 @@ class Solution(Outcome):
         }
 
     def _state_and_costate_errors(self) -> dict[str, str]:
-        """Return the lines of the solution's summary on the errors of states and costates.
+        """Return the lines of the summary on the errors of states and costates: label -> text.
 
-        The result maps labels to texts. It is empty if the errors of the states were not estimated,
-        or if the model has no states.
+        The result is empty if these errors were not estimated, or if the model has no states.
         """
         if not (np.isfinite(self.state_error) and self.problem.compiled.declared.states):
             return {}
@@ -333,9 +329,8 @@ class Solution(Outcome):
     def mesh_in_time(self) -> Mesh:
         """Mesh of the solution, with element boundaries as fractions of the physical duration.
 
-        The boundaries of `mesh` are fractions of the model's continuous set instead. The two meshes
-        differ only if the solve determines times inside the horizon. The values at the nodes of
-        `mesh` are also the values at the nodes of this mesh.
+        If the solve determines times inside the horizon, the boundaries differ from those of
+        `mesh`. The values at the nodes are the same.
         """
         if len(self.timeline.times) == 2:
             return self.mesh
@@ -433,8 +428,8 @@ class Solution(Outcome):
         Raises
         ------
         TranscriptionError
-            If the model has no such component, if `t` is missing for a component over time, or if a
-            time lies outside the horizon.
+            If the model has no such component, if a needed time is missing, or if a time lies
+            outside the horizon.
         """
         name = component if isinstance(component, str) else component.name
         if t is None:
@@ -455,27 +450,13 @@ class Solution(Outcome):
         raise TranscriptionError(f"{name}: is not a static variable or integral; give a time t.")
 
     def _inputs(self, fractions: FloatArray) -> list[FloatArray]:
-        """Return the values with which components of the model are evaluated at given times.
+        """Return the inputs of a component's function at given fractions of the horizon.
 
-        Parameters
-        ----------
-        fractions : ndarray, shape (n_times,)
-            Times as fractions of the horizon.
-
-        Returns
-        -------
-        list of ndarray
-            Five arrays with one row per time:
-
-            - rates: derivatives of the states with respect to the fraction of the horizon;
-            - states;
-            - algebraic variables;
-            - static variables, which do not depend on time;
-            - data: the fraction of the horizon and the parameters.
-
-            The functions that an `Evaluator` compiles for variables and expressions take these
-            inputs.
+        They are rates, states, algebraic variables, static variables and data, with one row per
+        time.
         """
+        # Rates are derivatives with respect to the fraction of the horizon. Data are the fraction
+        # itself and the parameters. The functions are those of an `Evaluator`.
         path, n = self.trajectory, len(fractions)
         states, rates = path.states_at(fractions), path.rates_at(fractions)
         if self.output_states.shape[1]:
@@ -521,8 +502,8 @@ class Solution(Outcome):
         Returns
         -------
         float or ndarray
-            Costate at each time, in the shape of `t`. The cost is the declared objective, or its
-            negative if the objective is to be maximised.
+            Costate at each time, in the shape of `t`. For an objective that is maximised, it refers
+            to the negative of the objective.
 
         Raises
         ------
@@ -542,10 +523,10 @@ class Solution(Outcome):
     def costate_errors(self) -> dict[str, float]:
         """Estimated largest error of each costate over the horizon, by the name of its state.
 
-        It is relative to the costate's largest magnitude, and at least `state_error`. If a costate
-        jumps inside an element, the error is as large as the jump.
+        Errors are relative to the largest magnitude of the costate.
         """
         # A costate may jump where a limit on a state becomes active or inactive.
+        # The error is then as large as the jump. It is at least the error of the states.
         own = costate_errors_of(
             self.program,
             self.unknowns,
@@ -628,8 +609,7 @@ class Solution(Outcome):
     def to_frame(self, times: Any = None) -> pd.DataFrame:
         """Return states, output states and algebraic variables as a table over time.
 
-        Output states are states on which neither objective nor other equations depend. They are not
-        unknowns of the nonlinear program; they are computed from its solution.
+        Neither the objective nor other equations depend on an output state.
 
         Parameters
         ----------
@@ -639,9 +619,8 @@ class Solution(Outcome):
         Returns
         -------
         DataFrame
-            Column "time" comes first, then one column per variable, named as in
-            ``rotors.omega[1]``. If a variable of the model is called "time", its column is "time
-            (variable)".
+            First the column "time", then one column per variable, named as in ``rotors.omega[1]``.
+            A variable called "time" gets the column "time (variable)".
 
         Raises
         ------

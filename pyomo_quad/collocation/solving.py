@@ -38,58 +38,33 @@ S = TypeVar("S", bound=Outcome)
 
 @dataclass(kw_only=True)
 class _WholeSolve(Search[S], Generic[S]):
-    """Solve from a warm start; if this is too slow, solve from the guess.
+    """Search that solves from a warm start; if this is too slow, it solves from the guess."""
 
-    The function `first_success` tries these solution strategies in order.
-
-    Attributes
-    ----------
-    solve : callable
-        (start, progress) -> solution. Solves the problem once from the starting point `start`, with
-        mesh refinement if the caller asked for it. Calls `progress` at each iteration.
-    start : Start
-        Warm start and guess that the caller gave.
-    known : ColdStart, optional
-        Iterations that an earlier solve from the guess took. The solve from the warm start may take
-        at most as many (its budget). None for no budget.
-    tolerance : float
-        Tolerance of the mesh refinement, 0 for a single mesh.
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
-    warm : Solution or JointSolution, optional
-        Result of the last solve from the warm start.
-    spent : int
-        Iterations of the last solve from the warm start.
-    has_ended : bool
-        Whether the most recent result ends the search (see `is_final`).
-    """
-
+    # Solves once from a starting point, with mesh refinement if the caller asked for it.
     solve: Callable[[Start, Progress], S]
     start: Start
+    # Iterations of an earlier solve from the guess, the budget of the warm start; None without
+    # budget.
     known: ColdStart | None
+    # Tolerance of the mesh refinement, 0 for a single mesh.
     tolerance: float
     progress: Progress | None
+    # Result of the last solve from the warm start, and its number of iterations.
     warm: S | None = None
     spent: int = 0
+    # Whether the most recent result ends the search.
     has_ended: bool = False
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether `fact`, a condition for trying a solution strategy, is true at present.
-
-        `Fact.COLD_FAILED` is true after the warm start exceeded its budget and the following solve
-        from the guess failed.
-        """
+        """Return whether `fact`, a condition for trying a solution strategy, is true at present."""
+        # If the warm start kept its budget, or the cold start succeeded, the search has ended
+        # already.
         return (fact is Fact.WARM_START and self.start.warm is not None) or (
             fact is Fact.COLD_FAILED and self.warm is not None
         )
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve with a given solution strategy, and return the result.
-
-        The strategy determines the starting point: the warm start, the guess, or the last iterate
-        of the interrupted solve from the warm start. The strategy also determines whether the
-        budget limits the iterations.
-        """
+        """Solve with a given solution strategy, and return the result."""
         known = self.known if strategy.iterations is None else None
         limits = (known.first, known.iterations) if known else (inf, inf)
         effort = Effort(limits=limits, progress=self.progress)
@@ -97,6 +72,7 @@ class _WholeSolve(Search[S], Generic[S]):
             return self._cold(effort)
         start = self.start
         if self.warm is not None and strategy.first is First.REACHED:
+            # Continue from the last iterate of the interrupted solve.
             start = replace(start, warm=self.warm.warm_start)
         found = self.solve(start, effort)
         self.warm, self.spent, self.has_ended = found, effort.count, not effort.is_over
@@ -105,9 +81,7 @@ class _WholeSolve(Search[S], Generic[S]):
     def _cold(self, effort: Effort) -> S:
         """Solve from the guess, without the warm start, and record the number of iterations.
 
-        The number is recorded in the attribute `cold_start` of the result, and becomes the budget
-        of later solves from a warm start. If this is the first solve of the search and it does not
-        succeed, `cold_start` is None. `effort` counts the iterations of this solve.
+        The record, `cold_start` of the result, is the budget of later solves from a warm start.
         """
         cold = self.solve(self.start.cold, effort)
         took = ColdStart(first=effort.first, iterations=effort.count, tolerance=self.tolerance)
@@ -121,12 +95,10 @@ class _WholeSolve(Search[S], Generic[S]):
         return cold.updated(cold_start=took, message=message)
 
     def is_final(self, found: S) -> bool:
-        """Return whether no further solution strategy needs to be tried; `found` is ignored.
+        """Return whether the most recent result ends the search, whatever `found` is.
 
-        The result is False in two cases:
-
-        - The solve from the warm start used up its budget of iterations.
-        - The next solve, which started from the guess, failed.
+        The search goes on if the warm start used up its budget, or if the cold start after it
+        failed.
         """
         del found
         return self.has_ended
@@ -142,15 +114,15 @@ def within_budget(
 ) -> S:
     """Solve from a warm start; if its budget of iterations is used up, solve from the guess.
 
-    The budget is two numbers of iterations: those that an earlier solve from the guess took on the
-    first mesh, and on all meshes. If the new solve from the guess fails, the solve from the warm
-    start is continued without a budget.
+    The budget is the number of iterations that an earlier solve from the guess took: on the first
+    mesh, and on all meshes. If the new solve from the guess fails, the solve from the warm start is
+    continued without a budget.
 
     Parameters
     ----------
     solve : callable
-        (start, progress) -> solution. Solves the problem once from the starting point `start`, with
-        mesh refinement if the caller asked for it. Calls `progress` at each iteration.
+        (start, progress) -> solution. Solves once from the starting point `start`, and calls
+        `progress` at each iteration.
     start : Start
         Warm start and guess. The warm start may contain the recorded iterations of the cold start.
     tolerance : float or None
@@ -160,13 +132,14 @@ def within_budget(
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
         Whether the recorded iterations may serve as a budget. False if this solve uses several
-        initial points, because several points take more iterations than one.
+        initial points.
 
     Returns
     -------
     Solution or JointSolution
         Result of the solve that was carried out last, converged or not.
     """
+    # Several initial points take more iterations than the recorded one.
     demand, known = tolerance or 0.0, start.cold_start if is_known else None
     # A warm start is useful only if it is faster than a solve from the guess (cold start). The
     # iterations of the cold start are therefore its budget.
@@ -188,14 +161,15 @@ def carried_out(
 ) -> S:
     """Carry out a complete solve: from a warm start or guess, and within the time limit.
 
-    The mesh is refined if the caller gave a tolerance or no mesh. If a refinement ends with the
-    status not converged or interrupted, the result is its most accurate solution, with this status.
+    The mesh is refined if the caller gave a tolerance or no mesh. If a refinement is interrupted or
+    does not converge, the result is its most accurate solution. The status of this solution says
+    how the refinement ended.
 
     Parameters
     ----------
     attempt : callable
-        (start, progress, options, tolerance, refinement) -> solution. Solves the problem once, from
-        one starting point, with mesh refinement if there is a tolerance.
+        (start, progress, options, tolerance, refinement) -> solution. Solves once, and refines the
+        mesh if there is a tolerance.
     start : Start
         Warm start and guess.
     tolerance : float or None
@@ -210,8 +184,7 @@ def carried_out(
         Called at each iteration; returning False stops the solve.
     is_known : bool, default True
         Whether the iterations recorded in a warm start limit the solve from it (see
-        `within_budget`). False if the solve uses several initial points, because several points
-        take more iterations than one.
+        `within_budget`).
 
     Returns
     -------
@@ -249,23 +222,12 @@ def carried_out(
 
 
 def _finished_of(finished: list[S], ended: S) -> S:
-    """Return the result of a refinement: its last solution, or its best one if it was stopped.
+    """Return the last solution `ended` of a refinement, or the most accurate one if it was stopped.
 
-    Parameters
-    ----------
-    finished : list of Solution or JointSolution
-        Converged solutions on the meshes of the refinement. Solutions of solves that left out
-        conditions (constraints at single times, presumed redundant) are ignored.
-    ended : Solution or JointSolution
-        Result with which the refinement ended.
-
-    Returns
-    -------
-    Solution or JointSolution
-        If `ended` was interrupted or did not converge, the solution in `finished` with the least
-        estimated error. It gets the status of `ended` and a message that names its mesh. Otherwise,
-        or if `finished` has no usable solution, the result is `ended`.
+    The most accurate one is chosen from `finished`, the converged solutions on its meshes.
     """
+    # Solutions without all conditions (constraints at single times, presumed redundant) do not
+    # count.
     whole = [solution for solution in finished if not solution.parts[0].instance.left_out]
     if not whole or ended.status not in (Status.INTERRUPTED, Status.NOT_CONVERGED):
         return ended
@@ -279,11 +241,9 @@ def _finished_of(finished: list[S], ended: S) -> S:
 
 
 def _in_time(solution: S, deadline: Effort) -> S:
-    """Set message and return code of a solution whose solve was interrupted by the time limit.
+    """Set message and return code of a solution if the time limit interrupted its solve.
 
-    The attribute `ipopt_code` becomes `TIME_LIMIT_CODE`. `deadline` holds the time limit, and
-    whether the solve exceeded it. If the solve ended for another reason, `solution` is returned
-    unchanged.
+    `deadline` holds the time limit, and whether the solve exceeded it.
     """
     if not deadline.is_over or solution.status is not Status.INTERRUPTED:
         return solution

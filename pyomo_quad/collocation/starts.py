@@ -89,9 +89,8 @@ class WarmStart:
     equations : ndarray, shape (n_points, n_equations)
         Multipliers of the equations over time at the collocation points.
     conditions : ndarray, shape (n_conditions,)
-        Multipliers of all other constraints. Most of them are conditions: constraints on values at
-        single times, such as an end condition. The others are defining equations of integrals, if
-        the nonlinear program has integrals as unknowns.
+        Multipliers of the constraints at single times, such as an end condition, and of the
+        defining equations of integrals.
     cold_start : ColdStart, optional
         Iterations of the solve without a warm start, if known.
     """
@@ -101,6 +100,7 @@ class WarmStart:
     lower: Trajectory
     upper: Trajectory
     equations: FloatArray
+    # Defining equations of integrals are included if the program has the integrals as unknowns.
     conditions: FloatArray
     cold_start: ColdStart | None = None
 
@@ -141,16 +141,13 @@ class WarmStart:
     def continued(self, mesh: Mesh, was: Timeline, now: Timeline) -> WarmStart:
         """Interpolate the warm start to another mesh and horizon, at equal physical times.
 
-        Multipliers are interpolated per unit of time. Multipliers of bounds are kept non-negative.
-
         Parameters
         ----------
         mesh : Mesh
             Mesh of the result.
         was, now : Timeline
-            Mappings between fractions of a horizon and physical times: `was` for the horizon of
-            this warm start, `now` for the horizon of the result. The horizon of the result must not
-            extend beyond the horizon of this warm start.
+            Timelines of this warm start and of the result. The horizon of the result must lie
+            within the horizon of this warm start.
 
         Returns
         -------
@@ -325,17 +322,17 @@ class Start:
     Attributes
     ----------
     warm : WarmStart or tuple of WarmStart, optional
-        Trajectory and multipliers of another solution. For several horizons: one warm start per
-        horizon, and one for the constraints that couple them.
+        Warm start from another solution. For several horizons: one per horizon, and one for the
+        constraints that couple them.
     guess : mapping, Trajectory or list, optional
-        Initial values where there is no warm start. For several horizons: a list with one guess per
-        horizon, and a last guess for the variables that belong to no horizon. By default, the guess
-        is the present values of the model's variables.
+        Initial values where there is no warm start; by default the values of the model's variables.
+        For several horizons: a list with one guess per horizon, and a last guess for all other
+        variables.
     seed : int
         If above 0, the initial point is random between the bounds, drawn with this seed.
     is_elastic : bool
-        Whether the solve starts from the optimum of the elastic program. In this program, the
-        equations over time may be violated at a penalty.
+        Whether the solve starts from the optimum of the elastic program, in which equations over
+        time may be violated at a penalty.
     """
 
     warm: Any = None
@@ -360,11 +357,9 @@ class Start:
 
     @property
     def cold_start(self) -> ColdStart | None:
-        """Record of the iterations that a solve from the guess took, as stored in the warm start.
+        """Numbers of iterations of an earlier solve from the guess, or None if they are not known.
 
-        With several horizons, it is the record in the first warm start. A later solve from the warm
-        start is given up if it takes more iterations than the record. None if there is no warm
-        start, or if the warm start contains no record.
+        The numbers come from the warm start, with several horizons from the first one.
         """
         first = self.warm[0] if isinstance(self.warm, tuple) else self.warm
         return first and first.cold_start

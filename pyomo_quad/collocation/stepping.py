@@ -2,9 +2,8 @@
 
 A closed loop is a vehicle with the control law that steers it. All vehicles have the same control
 law. Each step uses the classical Runge-Kutta method of order 4; see docs/theory/flights.md, eq.
-(1). The four stages of the step form one CasADi function, which is mapped over the vehicles. The
-parameters that differ between vehicles may change from step to step, and may thus represent noise
-that is constant during a step.
+(1). The parameters that differ between vehicles may change from step to step, and may thus
+represent noise.
 """
 
 from __future__ import annotations
@@ -35,9 +34,8 @@ class SteppedFlights:
     t : ndarray, shape (n_samples,)
         Times [s].
     joint : ndarray, shape (n_samples, n, n_joint)
-        Joint states of each vehicle and its control law. A joint state consists of the states of
-        the vehicle, the states of the control law, and the objective accumulated since the start of
-        the flight.
+        States of each vehicle, then those of its control law, then the objective accumulated since
+        the start.
     controls : ndarray, shape (n_samples, n, n_controls)
         Controls that the control law applies to each vehicle.
     """
@@ -55,9 +53,8 @@ class SteppedLoops:
     dynamics : Dynamics
         Right-hand side of the vehicle's equations.
     law : callable
-        Control law: (command, x, own) -> (controls, time derivatives of own); see `Law`. It is
-        called with symbols. The command is what the law follows, for example a reference position;
-        x are the vehicle's states; own are the law's own states, for example of an integrator.
+        (command, x, own) -> (controls, time derivatives of own); see `Law`. It is called with
+        symbols. `x` are the states of the vehicle, `own` those of the law.
     n_command, n_own : int
         Number of components of the command, and number of the law's own states.
     varied : sequence of str
@@ -97,8 +94,8 @@ class SteppedLoops:
         command : callable
             Time [s] -> command of the law, the same for all vehicles.
         numbers : sequence of ndarray, shape (n,) or (n_steps, n)
-            Values of each parameter that differs between the vehicles, in the order of `varied`:
-            for each vehicle one number for the whole flight, or one for each step.
+            Values of each parameter in `varied`: for each vehicle one number for the whole flight,
+            or one for each step.
         sampled : ndarray of bool, shape (n_steps + 1,)
             Whether the flights are stored at each time.
 
@@ -143,17 +140,10 @@ class SteppedLoops:
     def _around(
         self, begin: float, end: float, command: Callable[[float], Sequence[float]]
     ) -> list[FloatArray]:
-        """Return those inputs of one Runge-Kutta step that are the same for all vehicles.
+        """Return the inputs of one Runge-Kutta step that are the same for all vehicles.
 
-        The step leads from `begin` to `end` [s]. `command` maps a time [s] to the command that the
-        control law follows.
-
-        Returns
-        -------
-        list of ndarray
-            Seven arrays: the length of the step [s], shape (1,); the time-dependent inputs of the
-            vehicle's equations (see `Dynamics.moment`) at the start, the middle and the end of the
-            step; and the commands at these three times.
+        They are the length of the step [s], then time-dependent inputs and then commands at its
+        start, middle and end.
         """
         middle = 0.5 * (begin + end)
         # If the equations jump, a step starts after the jump and the previous step ends before it.
@@ -165,25 +155,8 @@ class SteppedLoops:
 def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: int) -> Any:
     """Return the CasADi function of one Runge-Kutta step of a closed loop.
 
-    Parameters
-    ----------
-    flow : casadi.Function
-        (time-dependent inputs, joint state of vehicle and control law, command, varied parameters)
-        -> time derivative of the joint state.
-    dynamics : Dynamics
-        Right-hand side of the vehicle's equations. Only its method `symbol` is used, to create the
-        symbols of the inputs; the equations themselves are in `flow`.
-    sizes : (int, int, int)
-        Numbers of time-dependent inputs, joint states and components of a command.
-    n_varied : int
-        Number of parameters that differ between the vehicles.
-
-    Returns
-    -------
-    casadi.Function
-        (length of the step, time-dependent inputs at its start, middle and end, commands at its
-        start, middle and end, joint state at its start, varied parameters) -> joint state at its
-        end.
+    `flow` gives the time derivative of the joint state. `sizes` are the numbers of time-dependent
+    inputs, joint states and components of a command.
     """
     n_moment, n_joint, n_command = sizes
     length = dynamics.symbol("length", 1)
@@ -195,4 +168,5 @@ def _step(flow: Any, dynamics: Dynamics, sizes: tuple[int, int, int], n_varied: 
     third = flow(moments[1], joint + length / 2 * second, commands[1], own)
     fourth = flow(moments[2], joint + length * third, commands[2], own)
     end = joint + length / 6 * (first + 2 * second + 2 * third + fourth)
+    # `moments` and `commands` are values at the start, the middle and the end of the step.
     return casadi.Function("step", [length, *moments, *commands, joint, own], [end], {"cse": True})

@@ -1,10 +1,9 @@
 """Table of the solution strategies that are tried in order, and the loop that tries them.
 
 A whole solve (scope `WHOLE`) starts from a warm start or from the guess. Its first mesh is solved
-by the strategies of the scope `FIRST`, which differ in initial point, mesh and settings of Ipopt.
-The mesh refinement solves each further mesh by the strategies of the scope `MESH`. The strategy of
-the scope `RESTART` starts the refinement again from other controls, if these are better by
-Pontryagin's principle.
+by the strategies of the scope `FIRST`, each further mesh by those of the scope `MESH`. The strategy
+of the scope `RESTART` starts the refinement again from better controls, if Pontryagin's principle
+shows that there are any.
 """
 
 from __future__ import annotations
@@ -123,17 +122,13 @@ class Strategy:
     is_scaled : bool
         Whether Ipopt solves the scaled program.
     is_firm : bool
-        Whether the damping of the controls is increased, and Ipopt begins with a larger barrier
-        parameter. Damping is a penalty on the distance from the controls of the previous mesh.
+        Whether the penalty on changes of the controls since the previous mesh (damping) is
+        increased.
     iterations : float or None
-        Limit of iterations of the solve on each mesh; infinite for no limit. None only for the
-        strategy "warm start", which solves the whole problem from the caller's warm start. Its
-        limits are the iterations that an earlier solve from the guess took, on the first mesh and
-        on all meshes together. The warm start may contain these two numbers. If they are missing or
-        belong to another tolerance, there is no limit.
+        Limit of iterations of the solve on each mesh; infinite for no limit. None means that the
+        record in the warm start gives the limits.
     times : int
-        How often the strategy may be tried. `first_success` tries each strategy once. Only the
-        refinement repeats a strategy, the restart, and counts up to `MOST_RESTARTS` itself.
+        How often the strategy may be tried. Only a restart may be tried more than once.
     """
 
     scope: Scope
@@ -143,16 +138,20 @@ class Strategy:
     finer: int = 1
     barrier: str | None = None
     is_scaled: bool = True
+    # Ipopt then also begins with a larger barrier parameter.
     is_firm: bool = False
+    # Only the strategy "warm start" has None. Its limits are the iterations of an earlier solve
+    # from the guess, on the first mesh and on all meshes. Without a record for the same tolerance,
+    # there is no limit.
     iterations: float | None = inf
+    # `first_success` does not read this number; the refinement itself counts the restarts.
     times: int = 1
 
     def settings(self, options: SolverOptions) -> SolverOptions:
         """Return the settings of Ipopt with which the strategy solves.
 
-        If the attribute `barrier` is None, they are the caller's `options`. Otherwise, Ipopt's
-        option `mu_strategy` is set to `barrier`. The limit of iterations is then the smaller of two
-        limits: that in `options` and the attribute `iterations`.
+        If `barrier` is given, it replaces `mu_strategy` of the caller's `options`, and the limit of
+        iterations is at most `iterations`.
         """
         if self.barrier is None:
             return options
@@ -222,9 +221,8 @@ S = TypeVar("S", bound=Any)
 class Search(ABC, Generic[S]):
     """Search for a solution by strategies, which `first_success` tries one after another.
 
-    A search tries the strategies of one `Scope` in the order of the table `STRATEGIES`. Subclasses
-    define how a strategy is carried out, whether a condition is true, and which results end the
-    search.
+    Subclasses define how a strategy is carried out, whether a condition is true, and which results
+    end the search.
     """
 
     @abstractmethod
@@ -272,9 +270,8 @@ def first_success(scope: Scope, search: Search[S]) -> S:
     Returns
     -------
     Solution or JointSolution
-        The final result. If no result is final, the method `failure` of `search` chooses the
-        result, by default that of the last strategy. If several strategies were tried, the
-        attribute `tried` of the result records the name and outcome of each.
+        The final result or, if no result is final, the result of the method `failure`. If several
+        strategies were tried, its attribute `tried` records them.
     """
     tried: list[str] = []
     last: Any = None

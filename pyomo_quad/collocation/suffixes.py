@@ -31,16 +31,14 @@ if TYPE_CHECKING:
 class Sensitivities:
     """Derivatives of the declared objective with respect to constraints, bounds or states.
 
-    The objective is taken as the Pyomo model declares it, minimised or maximised. The derivative is
-    with respect to the constant side of a constraint, the value of a bound, or a state at one time
-    (costate).
+    The derivative is with respect to the constant side of a constraint, the value of a bound, or a
+    state at one time (costate).
 
     Attributes
     ----------
     over_time : dict
-        Derivatives with respect to components over time: name -> function of time. The argument of
-        the function is a time within the range of the model's continuous set. For constraints and
-        bounds, the derivative is per unit of time.
+        Derivatives with respect to components over time: name -> function of a time in the model's
+        continuous set. Those for constraints and bounds are per unit of time.
     once : dict
         Derivatives with respect to components that do not depend on time: name -> derivative.
     """
@@ -66,14 +64,14 @@ class Sensitivities:
 def load_suffixes(*solutions: Solution) -> None:
     """Fill the suffixes `dual`, `rc` and `costate` of a model that imports them.
 
-    For constraints and bounds over time, the derivatives are per unit of time. A pickled problem
-    has lost its model; its suffixes are not filled.
+    For constraints and bounds over time, the derivatives are per unit of time. The suffixes are not
+    filled if a solution comes from a pickled problem, which has lost its model.
 
     Parameters
     ----------
     *solutions : Solution
-        Solutions from which the derivatives are computed: a single solution or, for a model with
-        several horizons, one per horizon and one for the constraints that couple the horizons.
+        A single solution or, for several horizons, one per horizon and one for the constraints that
+        couple them.
     """
     source = solutions[0].problem.source
     if not isinstance(source, LiveModel):
@@ -91,11 +89,7 @@ def load_suffixes(*solutions: Solution) -> None:
 
 
 def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
-    """Return the objective's derivatives that the suffixes store, by the name of the suffix.
-
-    The names are "dual", "rc" and "costate". The derivatives are computed from the multipliers of
-    `solution`.
-    """
+    """Return the derivatives of the objective for the suffixes "dual", "rc" and "costate"."""
     problem = solution.problem
     dual, reduced = _sensitivities(solution)
     costates = Sensitivities()
@@ -110,19 +104,7 @@ def _suffixes(solution: Solution) -> dict[str, Sensitivities]:
 def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], float]:
     """Return the costate of a state for the declared objective, as a function of time.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution with the costates.
-    state : int
-        Index of the state among the states of the nonlinear program.
-    sign : float
-        -1 if the objective is maximised, and 1 otherwise.
-
-    Returns
-    -------
-    callable
-        Time within the range of the model's continuous set -> costate.
+    `state` is the index of the state. `sign` is -1 if the objective is maximised, and 1 otherwise.
     """
     return lambda time: sign * float(solution.costates.at(_fraction(solution, time))[0, state])
 
@@ -130,8 +112,7 @@ def _costate(solution: Solution, state: int, sign: float) -> Callable[[float], f
 def _function(solution: Solution, density: FloatArray) -> Callable[[float], float]:
     """Return the multiplier of a constraint or bound per unit of time, as a function of time.
 
-    The argument is a time within the range of the model's continuous set. `density` has the values
-    at the collocation points, shape (n_points,).
+    `density` has the values at the collocation points, shape (n_points,).
     """
 
     def at(time: float) -> float:
@@ -144,11 +125,7 @@ def _function(solution: Solution, density: FloatArray) -> Callable[[float], floa
 
 
 def _fraction(solution: Solution, time: float) -> FloatArray:
-    """Return a time of the model's continuous set as a fraction of the set's range, shape (1,).
-
-    `solution` is a solution of the model; `time` lies between the first and the last member of the
-    continuous set.
-    """
+    """Return a time of the model's continuous set as a fraction of the set's range, shape (1,)."""
     first, last = solution.problem.values.declared_horizon
     return np.array([(time - first) / (last - first)])
 
@@ -156,18 +133,12 @@ def _fraction(solution: Solution, time: float) -> FloatArray:
 def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
     """Return the derivatives of the objective with respect to constraints, and to bounds.
 
-    The derivatives are computed from the multipliers of `solution`.
-
-    Returns
-    -------
-    Sensitivities
-        Derivatives with respect to the constant sides of constraints, for the suffix `dual`.
-    Sensitivities
-        Derivatives with respect to bounds of variables, for the suffix `rc`.
+    The first result is for the suffix `dual`, and the second for `rc`.
     """
     program, multipliers = solution.program, solution.multipliers
     declared = program.compiled.declared
     sign = -1.0 if program.is_negated else 1.0
+    # The derivative is with respect to the constant side of a constraint.
     dual, reduced = Sensitivities(), Sensitivities()
     rows = -sign * multipliers.rows
     if program.mesh is not None:
@@ -184,8 +155,7 @@ def _sensitivities(solution: Solution) -> tuple[Sensitivities, Sensitivities]:
 def _widths(solution: Solution) -> FloatArray:
     """Return the duration that each collocation point represents, shape (n_points,).
 
-    It is the quadrature weight times the derivative of physical time with respect to the fraction
-    of the horizon. A multiplier divided by it is per unit of time.
+    A multiplier divided by this duration is per unit of time.
     """
     mesh = solution.mesh
     # The derivative is the length of the horizon. If the solve determines times inside the horizon,
@@ -196,22 +166,9 @@ def _widths(solution: Solution) -> FloatArray:
 def _assign_bounds(
     solution: Solution, sign: float, dual: Sensitivities, reduced: Sensitivities
 ) -> None:
-    """Add the objective's derivatives with respect to bounds to `dual` and `reduced`, in place.
+    """Add the derivatives of the objective with respect to bounds to `dual` and `reduced`.
 
-    The derivatives are computed from the multipliers of the solution.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution with the multipliers.
-    sign : float
-        -1 if the objective is maximised, and 1 otherwise.
-    dual : Sensitivities
-        Receives the derivatives for bounds that the Pyomo model declares by a constraint on a
-        single variable.
-    reduced : Sensitivities
-        Receives the derivatives for bounds that the Pyomo model gives in the declaration of a
-        variable.
+    `sign` is -1 if the objective is maximised, and 1 otherwise.
     """
     program, bounds = solution.program, solution.bounds
     compiled = program.compiled
@@ -233,6 +190,8 @@ def _assign_bounds(
             total += np.where(is_own, rest[limit.columns], 0.0)
             rest[limit.columns[is_own]] = 0.0
         prices = sign * total / slopes.get(limit.name, 1.0)
+        # `dual` is for bounds that a constraint on a single variable declares, and `reduced` for
+        # bounds in the declaration of a variable.
         table = dual if limit.name in of_constraints else reduced
         if program.mesh is not None and prices.size >= program.n_points > 1:
             own = prices[-program.n_points :]

@@ -125,12 +125,8 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
     Returns
     -------
     Solution
-        Solution at that point, with one of these statuses:
-
-        - "infeasible" if the least violation is positive; the message then names the violated
-          equations;
-        - "not converged" if the least violation is zero, but Ipopt reported infeasibility;
-        - otherwise the status of `failed`.
+        Solution at that point. If the least violation is positive, its status is "infeasible". If
+        it is zero, a status "infeasible" of `failed` becomes "not converged".
     """
     told = replace(
         failed,
@@ -142,6 +138,7 @@ def judged(failed: Solution, found: LeastViolation) -> Solution:
         rows = found.worst_rows.tolist()
         violated = [violation(failed, row, found.slacks[row]) for row in rows]
         return told.updated(status=Status.INFEASIBLE, message=verdict(violated))
+    # Ipopt reported infeasibility, although this point violates no constraint.
     if found.is_zero and failed.status is Status.INFEASIBLE:
         return told.updated(status=Status.NOT_CONVERGED)
     return told
@@ -244,12 +241,12 @@ def outside_tables(solution: Solution) -> str:
 
 
 def doubted(solution: S) -> S:
-    """Return a solution whose status and message record the doubts about it.
+    """Return a solution whose status and message record doubts about its optimality or validity.
 
-    Any of these is a doubt:
+    The solution is in doubt in each of these cases:
 
     - The problem has no objective.
-    - Multipliers diverge, and the Hamiltonian is not constant.
+    - Multipliers diverge, and the Hamiltonian is not constant although it should be.
     - An interpolation table of the model is evaluated outside the range of its data.
     """
     return _within_tables(_undoubted(_without_objective(solution)))
@@ -292,13 +289,13 @@ def _undoubted(solution: S) -> S:
 def _within_tables(solution: S) -> S:
     """Mark a solution as not converged if it evaluates a table outside the range of its data.
 
-    The message of the result names the table. A solution whose status is not `CONVERGED` keeps its
-    status, and the text about the table is appended to its message.
+    The message names the table.
     """
     line = next(filter(None, map(outside_tables, solution.parts)), "")
     if not line:
         return solution
     if solution.status is not Status.CONVERGED:
+        # A solution with another status keeps it.
         return solution.updated(message=f"{solution.message} {line}")
     # A table has no meaning outside the range of its data.
     return solution.updated(status=Status.NOT_CONVERGED, message=line)

@@ -59,8 +59,7 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     """Make the stream of setpoints for PX4's offboard mode.
 
     Each row is a MAVLink message SET_POSITION_TARGET_LOCAL_NED: x north, y east, z down, yaw
-    clockwise from north. In the plan, x is east, y is north, and yaw is counter-clockwise from
-    east.
+    clockwise from north.
 
     Parameters
     ----------
@@ -72,8 +71,8 @@ def offboard(motion: Motion, rate_hz: float) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Fields of the message, one row for each setpoint, in SI units except for the time in ms;
-        numbers are rounded to the message's 32 bits.
+        Fields of the message, one row for each setpoint, in SI units except for the time in ms.
+        Numbers have 32 bits.
 
     Raises
     ------
@@ -225,28 +224,17 @@ def sampled_deviation(motion: Motion, rate_hz: float) -> float:
 def _between(motion: Motion, t: FloatArray, place: FloatArray, velocity: FloatArray) -> float:
     """Return the largest distance [m] between a plan and a cubic spline through its setpoints.
 
-    The spline has the position and velocity of each setpoint. The distance is computed at the
-    times of the setpoints and halfway between them.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    t : ndarray, shape (n,)
-        Times of the setpoints [s].
-    place, velocity : ndarray, shape (n, 3)
-        Positions [m] and velocities [m/s] of the setpoints.
+    The spline has the positions [m] and velocities [m/s] of the setpoints, shape (n, 3), at times
+    t.
     """
+    # The distance is computed at the setpoints and halfway between them.
     between = np.unique(np.concatenate([t, t[:-1] + np.diff(t) / 2.0]))
     drawn = CubicHermiteSpline(t, place, velocity)(between)
     return float(np.linalg.norm(drawn - motion.position(between), axis=1).max())
 
 
 def _north_east_down(values: FloatArray) -> FloatArray:
-    """Convert vectors, the rows of `values`, from axes east, north, up to north, east, down.
-
-    The same function also converts in the opposite direction.
-    """
+    """Convert vectors, the rows of `values`, from east, north, up to north, east, down, or back."""
     return values[:, [1, 0, 2]] * np.array([1.0, 1.0, -1.0])
 
 
@@ -308,14 +296,13 @@ class Export:
     what : str
         Name of the counted parts, such as "setpoints".
     position_error_m : float
-        Deviation of the file from the plan: the largest distance, at equal times, between the plan
-        and a vehicle that follows the file exactly.
+        Largest distance, at equal times, between the plan and a vehicle that follows the file
+        exactly.
     yaw_error_rad : float or None
         Largest deviation from the plan's heading; None if the autopilot chooses the heading.
     is_paper_plan : bool
-        Whether the plan has no margins from its limits, so that a controller that corrects
-        disturbances may break a limit. A plan has margins only if its scenario states
-        `mission.risk`, the permitted probability that a flight breaks a limit.
+        Whether the plan has no margins from its limits, because the scenario does not state
+        `mission.risk`. A controller that corrects disturbances may then break a limit.
     """
 
     path: str
@@ -335,31 +322,18 @@ _Written = tuple[int, str, float, float | None]
 
 @dataclass(frozen=True)
 class _Writer:
-    """Properties of an export format: function that writes files, file name, and options.
+    """Properties of an export format: function that writes files, file name, and options."""
 
-    Attributes
-    ----------
-    write : callable
-        Function that writes a file: (motion, path of the file, accuracy) -> result. The accuracy is
-        the value of the option `option`. A geodetic format has the origin as fourth argument. The
-        result has four items: number of parts of the file; name of the parts, for example
-        "waypoints"; largest distance from the plan [m]; largest deviation from the plan's heading
-        [rad]. The last item is None if the autopilot chooses the heading.
-    ending : str
-        Ending of the default file name.
-    option : str
-        Name of the command-line option that sets the accuracy: ``--path-error`` or ``--rate``.
-    default : float
-        Value of the option if the user does not give it.
-    is_on_globe : bool
-        Whether the format is geodetic: positions are latitudes and longitudes, which depend on an
-        origin.
-    """
-
+    # (motion, path of the file, value of `option`, origin if `is_on_globe`) -> number of parts,
+    # their name, largest distance from the plan [m], largest deviation from the plan's heading
+    # [rad]. The last is None if the autopilot chooses the heading.
     write: Callable[..., _Written]
+    # Ending of the default file name.
     ending: str
+    # Command-line option that sets the accuracy, ``--path-error`` or ``--rate``, and its default.
     option: str
     default: float
+    # Whether positions are latitudes and longitudes.
     is_on_globe: bool = False
 
     @property
@@ -399,15 +373,14 @@ def export_plan(
         Format of the export.
     out : str or Path, optional
         File to write, for ROS 2 a folder; by default named after the scenario, in the working
-        folder. An existing file is replaced only if it is an earlier export. The output may also be
-        a device or a FIFO, such as ``/dev/stdout``.
+        folder. Only files of an earlier export are replaced. A device or a FIFO, such as
+        ``/dev/stdout``, is possible.
     origin : str, optional
-        Position of the plan's origin on earth, "LAT,LON,ALT" in degrees and in metres above the
-        sea; by default the origin that the mission gives. Missions of ground stations need an
-        origin.
+        Position of the plan's origin on earth, "LAT,LON,ALT" [deg, deg, m above the sea]; by
+        default that of the mission. Missions of ground stations need an origin.
     path_error_m : float, optional
-        For formats with waypoints or polynomial pieces: largest permitted distance [m] between the
-        plan and the legs or pieces. Each format has its own default.
+        For waypoints or polynomial pieces: largest permitted distance [m] from the plan. Each
+        format has its own default.
     rate_hz : float, optional
         Setpoints or trajectory points per second, for PX4 and ROS 2; 50 by default.
     is_code_allowed : bool, optional
@@ -485,16 +458,7 @@ def _refuse_options(to: Format, writer: _Writer, given: list[str]) -> None:
 
 
 def _origin(motion: Motion, given: GeodeticOrigin | None, to: Format) -> GeodeticOrigin:
-    """Return the position on earth of the plan's origin, x = y = z = 0.
-
-    Parameters
-    ----------
-    motion : Motion
-        The plan's motion.
-    given : GeodeticOrigin or None
-        Position that the user states by ``--origin``; if None, the mission's own origin is used.
-    to : Format
-        Format of the export, for the error message.
+    """Return the position on earth of the plan's origin: as `given`, or else that of the mission.
 
     Raises
     ------
@@ -535,30 +499,13 @@ def _write_mission(
 ) -> _Written:
     """Write a plan as a ground station's mission: waypoints joined by straight legs.
 
-    Parameters
-    ----------
-    spelled : callable
-        Function that converts a QGroundControl mission (a mapping) to the text of the format.
-    mark : str
-        Text in the file which tells a later export that it may replace the file.
-    motion : Motion
-        The plan's motion.
-    path : Path
-        File to write.
-    error_m : float
-        Largest permitted distance [m] of the straight legs between waypoints from the plan.
-    origin : GeodeticOrigin
-        Position of the plan's origin on earth.
-
-    Returns
-    -------
-    tuple of (int, str, float, None)
-        Number of waypoints, the word "waypoints", the largest distance of the legs from the plan
-        [m], and None. The None stands for the deviation of the heading, which the file leaves open
-        between waypoints.
+    The result has number and name of the parts, deviation [m], and deviation of the heading.
+    `spelled` converts a QGroundControl mission to the text of the file.
     """
     legs = thin(motion, error_m)
+    # An export may replace a file only if the file contains `mark`.
     _write_text(path, spelled(mission(legs, origin, motion, error_m)), mark)
+    # None: the file leaves the heading between waypoints to the autopilot.
     return len(legs.times), "waypoints", _deviation(legs, motion), None
 
 
@@ -567,11 +514,7 @@ def _as_json(held: dict[str, Any]) -> str:
 
 
 def _deviation(legs: Legs, motion: Motion) -> float:
-    """Return the largest distance [m] between a plan and straight legs that approximate it.
-
-    The distance is between the position on the plan and the position on the legs at the same time.
-    `legs` are the straight legs, and `motion` is the plan's motion.
-    """
+    """Return the largest distance [m], at equal times, between a plan and straight legs."""
     t = motion.samples(len(legs.times) / motion.duration * 100)
     return float(np.linalg.norm(legs.at(t) - motion.position(t), axis=1).max())
 

@@ -73,29 +73,17 @@ class ImportedMission:
 
 @dataclass(frozen=True, kw_only=True)
 class _Item:
-    """MAVLink command of a ground station's mission, with its seven parameters.
+    """MAVLink command of a ground station's mission, with its seven parameters."""
 
-    Attributes
-    ----------
-    where : str
-        Name of file and command for error messages.
-    command : int
-        MAVLink's number of the command.
-    frame : int
-        MAVLink's number of the coordinate frame. The frame defines the level from which the
-        altitude counts.
-    params : tuple of float or None
-        The seven parameters; None for a parameter that the file does not give. The last parameter
-        is normally the altitude [m].
-    altitude : float or None
-        Altitude [m] in a separate entry, which a QGroundControl file may have. Altitudes above the
-        terrain are read from this entry. None if the file has no such entry.
-    """
-
+    # Name of file and command for error messages.
     where: str
+    # MAVLink's numbers of the command, and of the frame that defines where altitudes count from.
     command: int
     frame: int
+    # None for a parameter that the file does not give. The last one is normally the altitude [m].
     params: tuple[float | None, ...]
+    # Altitude [m] in a separate entry of a QGroundControl file, used for altitudes above the
+    # terrain.
     altitude: float | None = None
 
     def param(self, k: int) -> float:
@@ -105,50 +93,29 @@ class _Item:
 
 @dataclass(frozen=True, kw_only=True)
 class _File:
-    """Content of a ground station's mission file: home position, commands, fence, rally points.
+    """Content of a ground station's mission file: home position, commands, fence, rally points."""
 
-    Attributes
-    ----------
-    home : GeodeticOrigin
-        Home position of the mission on earth; heights are relative to its altitude.
-    items : tuple of _Item
-        Commands of the mission, in order.
-    fence : mapping
-        Entry `geoFence` of a QGroundControl file; empty if the file has no fence.
-    rally : tuple of dict
-        Latitude [deg], longitude [deg] and height above the home position [m] of each rally point.
-    """
-
+    # Heights are relative to the altitude of the home position.
     home: GeodeticOrigin
     items: tuple[_Item, ...]
+    # Entry `geoFence` of a QGroundControl file; empty if the file has no fence.
     fence: Mapping[str, Any] = field(default_factory=dict)
+    # Latitude [deg], longitude [deg] and height [m] of each rally point.
     rally: tuple[dict[str, float], ...] = ()
 
 
 @dataclass(kw_only=True)
 class _Place:
-    """Place in a ground station's mission to which the vehicle flies, with its actions there.
+    """Place in a ground station's mission to which the vehicle flies, with its actions there."""
 
-    Attributes
-    ----------
-    position : dict
-        Latitude and longitude [deg], and height above the home position [m].
-    hold : float
-        Time of hovering at the place [s].
-    radius : float
-        Largest distance at which the place counts as passed [m].
-    yaw : float or None
-        Yaw at the place [rad], counter-clockwise from east; None if the yaw is free.
-    release : float
-        Mass of the payload that is released at the place [kg].
-    is_opened_at : bool
-        Whether the mission opens a gripper there.
-    """
-
+    # Latitude and longitude [deg], and height above the home position [m].
     position: dict[str, float]
+    # Time of hover [s], and largest distance at which the place counts as passed [m].
     hold: float = 0.0
     radius: float = 0.0
+    # Yaw [rad], counter-clockwise from east; None if it is free.
     yaw: float | None = None
+    # Mass of the payload that is released [kg], and whether the mission opens a gripper.
     release: float = 0.0
     is_opened_at: bool = False
 
@@ -175,23 +142,20 @@ def read_mission(
     vehicle : str, optional
         A vehicle of the library, or a vehicle file.
     payload_kg : float, optional
-        Mass of a payload [kg], which the vehicle carries from the start. It releases the whole
-        payload where the mission first opens a gripper or places a payload.
+        Mass of a payload [kg]. The vehicle releases it where the mission first opens a gripper or
+        places a payload.
 
     Returns
     -------
     ImportedMission
-        The scenario, its text, and the contents of the file that a scenario cannot represent. An
-        altitude above the terrain counts as a height above the home position. Exclusion fences
-        become keep-out zones without bottom and top. An inclusion circle becomes an inscribed
-        polygon.
+        The scenario, its text, and the contents of the file that it cannot represent. Altitudes
+        above the terrain count as heights above the home position.
 
     Raises
     ------
     ScenarioError
-        If the file is not a mission with at least two places, or the resulting scenario is invalid.
-        Also if the file has a command that can neither be converted nor left out. The message has
-        one line.
+        If the file is no mission with at least two places. Also for several inclusion fences, a
+        repetition (`DO_JUMP`), or an invalid value.
 
     Examples
     --------
@@ -219,6 +183,7 @@ def read_mission(
         "mission": _mission(read, places, notes),
         "airspace": _airspace(read, printable(str(path))),
     }
+    # Exclusion fences are keep-out zones without bottom and top, an inclusion circle a polygon.
     scenario = scenario_from_mapping(tables, printable(str(path)))
     said = tuple(note if n == 1 else f"{note} ({n} times)" for note, n in notes.items())
     return ImportedMission(scenario=scenario, text=_toml(tables, said), left_out=said)
@@ -269,8 +234,7 @@ def _number(value: object, where: str, low: float, high: float) -> float:
 def _on_globe(place: Sequence[object], where: str) -> tuple[float, float]:
     """Return latitude and longitude [deg] of a place, after a check of their ranges.
 
-    `place` is the place's list of coordinates in the mission file: latitude, longitude and possibly
-    an altitude. Error messages begin with the text `where`, which names the place in the file.
+    Error messages begin with the text `where`.
     """
     if len(place) < 2:
         _refuse(where, "a place needs latitude and longitude")
@@ -315,10 +279,9 @@ def _plan_file(document: object, source: str) -> _File:
 
 
 def _plan_items(items: list[Any], source: str) -> Iterator[_Item]:
-    """Yield the commands of a QGroundControl mission.
+    """Yield the commands of a QGroundControl mission, without waypoints that only shape the path.
 
-    A complex item, such as a survey, is replaced by its commands. Waypoints that only shape the
-    path are left out. Error messages begin with `source`, the name of the file.
+    A complex item, such as a survey, is replaced by its commands.
     """
     for k, written in enumerate(items, start=1):
         where, item = f"{source}, item {k}", _table(written)
@@ -379,17 +342,7 @@ def _waypoint_file(text: str, source: str) -> _File:
 def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
     """Yield the places to which the vehicle flies in a ground station's mission, in order.
 
-    Successive places that are at most a millimetre apart are merged: their times of hover are
-    added, and their heading and radius are those of the first place. Commands without a place, such
-    as a delay, act on the last place. The mission ends where the vehicle circles without end.
-
-    Parameters
-    ----------
-    read : _File
-        Content of the mission file.
-    notes : Counter of str
-        Contents of the file that a scenario cannot represent, in words, with the number of
-        occurrences; the function adds to them.
+    The function adds to `notes` what a scenario cannot represent, with the number of occurrences.
     """
     last: _Place | None = None
     first: _Place | None = None
@@ -401,6 +354,8 @@ def _places(read: _File, notes: Counter[str]) -> Iterator[_Place]:
             elif item.command != Command.DO_CHANGE_SPEED:
                 notes[f"command {item.command}, before any place"] += 1
             continue
+        # Successive places at most a millimetre apart are one place with the heading and radius of
+        # the first.
         if last is not None and _apart(read.home, last, place) <= _SAME_M:
             last.hold += place.hold
             last.is_opened_at |= place.is_opened_at
@@ -425,30 +380,8 @@ def _place_of(
 ) -> _Place | None:
     """Return the place to which a command leads, or None if it leads to no place.
 
-    For some commands, other places of the mission determine the result:
-
-    - A return to the launch place leads to the first place.
-    - A landing leads to a place above the landing point, at the height of the first place.
-    - A command whose latitude and longitude are both missing or zero takes them from the last place
-      or, at the start of the mission, from the home position.
-
-    Parameters
-    ----------
-    item : _Item
-        The command.
-    read : _File
-        Content of the mission file.
-    first : _Place or None
-        First place of the mission; None at the start of the mission.
-    last : _Place or None
-        Last place before this command; None at the start of the mission.
-    notes : Counter of str
-        Contents of the file that a scenario cannot represent, to which the function adds.
-
-    Raises
-    ------
-    ScenarioError
-        If the command repeats a part of the mission (`DO_JUMP`), or has an invalid value.
+    `first` and `last` are the first and the previous place. A `DO_JUMP` or an invalid value raises
+    a ScenarioError.
     """
     if item.command == Command.RETURN_TO_LAUNCH and first is not None:
         return _Place(position=dict(first.position))
@@ -463,6 +396,7 @@ def _place_of(
         longitude = read.home.longitude if near is None else near["longitude"]
     latitude, longitude = _on_globe([latitude, longitude], item.where)
     height = _height(item, read.home, notes)
+    # A landing leads to a place above the landing point, at the height of the first place.
     # The flight of a scenario ends in hover.
     if item.command in _LANDINGS and first is not None:
         height = first.position["height"]
@@ -489,18 +423,7 @@ def _towards(heading: float | None) -> float | None:
 
 
 def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
-    """Return the height above home [m] of the place to which a command makes the vehicle fly.
-
-    Parameters
-    ----------
-    item : _Item
-        The command. An altitude that counts from the terrain is treated as the height above home.
-    home : GeodeticOrigin
-        Home position of the mission.
-    notes : Counter of str
-        Contents of the file that a scenario cannot represent; the function adds a remark if the
-        altitude counts from the terrain.
-    """
+    """Return the height above home [m] of the place to which a command leads."""
     written = item.params[6]
     if item.frame in _ABOVE_SEA and written is not None:
         return written - home.altitude
@@ -518,16 +441,7 @@ def _height(item: _Item, home: GeodeticOrigin, notes: Counter[str]) -> float:
 def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
     """Apply a command without a position, such as a delay, to the place where it is executed.
 
-    Parameters
-    ----------
-    item : _Item
-        The command.
-    place : _Place
-        Last place before the command. A delay adds to its time of hover; a gripper command may mark
-        the place as one where a gripper is opened.
-    notes : Counter of str
-        Contents of the file that a scenario cannot represent. Commands other than a delay or the
-        opening of a gripper are added.
+    Commands without effect in a scenario are added to `notes`.
     """
     if item.command == Command.DELAY:
         place.hold += _number(item.param(0), item.where, 0.0, _LONGEST_S)
@@ -542,20 +456,12 @@ def _apply(item: _Item, place: _Place, notes: Counter[str]) -> None:
 def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> None:
     """Set the release of the whole payload at the first place where the mission opens a gripper.
 
-    Parameters
-    ----------
-    places : list of _Place
-        All places of the mission, in order. The function sets the attribute `release` of the place
-        where the payload is released.
-    payload_kg : float
-        Mass of the payload; 0 if there is none.
-    notes : Counter of str
-        Contents of the file that a scenario cannot represent. A remark is added if a gripper is
-        opened without a payload, or at the start or goal, where a scenario allows no release.
+    If there is no payload, or no release is possible there, a remark is added to `notes`.
     """
     opened = [place for place in places if place.is_opened_at]
     if opened and not payload_kg:
         notes["the release of a payload; give --payload KG"] += 1
+    # A scenario allows no release at its start or goal.
     elif opened and any(opened[0] is end for end in (places[0], places[-1])):
         notes["the release of the payload at an end of the flight"] += 1
     elif opened:
@@ -565,25 +471,16 @@ def _release(places: list[_Place], payload_kg: float, notes: Counter[str]) -> No
 def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str, Any]:
     """Return the scenario's table `mission` (TOML): origin, start, goal, waypoints, rally points.
 
-    Start and goal have no time of hover and no radius. If the file gives only one of their
-    headings, both get this heading.
-
-    Parameters
-    ----------
-    read : _File
-        Content of the ground station's mission file.
-    places : list of _Place
-        Places of the mission in order, from start to goal.
-    notes : Counter of str
-        Contents of the file that a scenario cannot represent. A remark is added if the file gives a
-        time of hover or a radius of the start or goal.
+    What the table cannot represent is added to `notes`.
     """
     start, *between, goal = places
+    # Start and goal of a scenario have no time of hover and no radius.
     for place in (start, goal):
         if place.hold:
             notes["the time of hover at an end of the flight"] += 1
         if place.radius:
             notes["the acceptance radius at an end of the flight"] += 1
+    # If the file gives only one heading, both get it.
     # Start and goal of a scenario always have a heading. With equal headings, the vehicle need not
     # turn.
     yaws = [place.yaw for place in (start, goal) if place.yaw is not None]
@@ -608,8 +505,7 @@ def _mission(read: _File, places: list[_Place], notes: Counter[str]) -> dict[str
 def _airspace(read: _File, source: str) -> dict[str, Any]:
     """Return the scenario's table `airspace` (TOML), with the fence of a ground station's mission.
 
-    The inclusion fence becomes `keep_in`; a second one is an error. Exclusion fences become zones
-    in `keep_out`. Error messages begin with `source`, the name of the file.
+    Error messages begin with `source`.
     """
     inside: list[list[dict[str, float]]] = []
     zones: list[dict[str, Any]] = []
@@ -649,15 +545,7 @@ def _inscribed(
 ) -> list[dict[str, float]]:
     """Return the corners of a regular polygon inscribed in a circle, as latitudes and longitudes.
 
-    Parameters
-    ----------
-    home : GeodeticOrigin
-        Home position of the mission, used as the origin of the axes x and y [m] in which the
-        polygon is constructed.
-    centre : mapping
-        Latitude and longitude of the circle's centre [deg].
-    radius : float
-        Radius of the circle [m].
+    `radius` is in m. The polygon is constructed in the axes x and y with the origin `home`.
     """
     (x, y, _), *_ = home.local([[*centre.values(), 0.0]]).tolist()
     angles = [tau * k / MOST_CORNERS for k in range(MOST_CORNERS)]
@@ -667,15 +555,7 @@ def _inscribed(
 
 
 def _toml(tables: Mapping[str, Any], left_out: Sequence[str]) -> str:
-    """Return a scenario's tables as TOML text, with comments on what the scenario leaves out.
-
-    Parameters
-    ----------
-    tables : mapping
-        Tables of the scenario.
-    left_out : sequence of str
-        Contents of the mission file that a scenario cannot represent, one comment each.
-    """
+    """Return a scenario's tables as TOML text, with one comment for each item of `left_out`."""
     lines = ["#:schema ./scenario.schema.json"]
     lines += [f"# Not of the mission's file: {note}." for note in left_out]
     for name, value in tables.items():

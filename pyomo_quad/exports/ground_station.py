@@ -1,8 +1,7 @@
 """Export of verified plans as ground station missions: a few geodetic waypoints with speeds.
 
 Waypoints are added to those of the scenario so that straight legs follow the curved path of the
-plan. QGroundControl's file marks the added waypoints. `exports.ground_missions` leaves them out
-when it converts the file back to a scenario.
+plan. QGroundControl's file marks the added waypoints; `exports.ground_missions` leaves them out.
 
 The files are QGroundControl's plan file (developer guide, Plan File Format: version 1, with
 missions and fences of version 2) and MAVLink's plain-text format (QGC WPL 110) of Mission Planner.
@@ -91,8 +90,7 @@ class Legs:
     places : ndarray, shape (n, 3)
         Positions x, y, z at these times [m].
     is_of_mission : ndarray of bool, shape (n,)
-        Whether each position is the mission's start, goal or one of its waypoints. An empty array
-        means that all of them are.
+        Whether each position is the mission's start, goal or a waypoint. Empty if all of them are.
     """
 
     times: FloatArray
@@ -156,11 +154,7 @@ def thin(motion: Motion, path_error_m: float) -> Legs:
 
 
 def _passing_times(motion: Motion) -> list[float]:
-    """Return the times [s] at which a plan reaches and leaves the mission's waypoints.
-
-    The times are in ascending order, without repetition. `motion` is the plan's motion, with the
-    mission.
-    """
+    """Return the ascending times [s] at which a plan reaches and leaves the mission's waypoints."""
     waypoints = motion.mission.mission.waypoints
     reached = [(w.at, w.hold) for w in waypoints if w.at is not None]
     times = [time for at, hold in reached for time in (at, at + hold)]
@@ -180,8 +174,8 @@ def mission(
     legs : Legs
         Straight legs from `thin`.
     origin : GeodeticOrigin
-        Position of the plan's origin on earth. It becomes the home position of the file; the
-        heights in the file are relative to its altitude.
+        Position of the plan's origin on earth, and home position in the file. Heights are relative
+        to its altitude.
     motion : Motion
         The plan's motion.
     path_error_m : float
@@ -249,11 +243,7 @@ def _speeds(legs: Legs) -> FloatArray:
 
 
 def _releases(legs: Legs, scenario: Scenario) -> set[int]:
-    """Return the indices of the positions in `legs.places` at which payload is released.
-
-    `legs` are the straight legs that approximate a plan. `scenario` is the plan's mission, whose
-    waypoints state where payload is released.
-    """
+    """Return the indices of the positions in `legs.places` at which payload is released."""
     passed = [(w.at, w.hold) for w in scenario.mission.waypoints if w.release and w.at is not None]
     return {int(np.abs(legs.times - (at + hold)).argmin()) for at, hold in passed}
 
@@ -299,7 +289,7 @@ def _item(command: Command, frame: Frame, params: list[Any]) -> dict[str, Any]:
 def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[list[float]]:
     """Convert positions x, y, z [m] to rows of latitude [deg], longitude [deg] and height [m].
 
-    `places` has one position in each row; `origin` is the position of x = y = z = 0 on earth.
+    `origin` is the position of x = y = z = 0 on earth.
     """
     rows: list[list[float]] = origin.geodetic(np.reshape(places, (-1, 3))).tolist()
     return rows
@@ -308,8 +298,7 @@ def _globe(places: Sequence[Sequence[float]], origin: GeodeticOrigin) -> list[li
 def _fence(scenario: Scenario, origin: GeodeticOrigin) -> dict[str, Any]:
     """Return the geofence of a QGroundControl plan file, as nested mappings.
 
-    It consists of the scenario's fence, in which the flight must remain, and of its keep-out zones
-    without bottom and top.
+    It has the scenario's fence and its keep-out zones without bottom and top.
     """
     airspace = scenario.airspace
     rings = [] if airspace.keep_in is None else [(True, airspace.keep_in.corners)]

@@ -46,12 +46,11 @@ class ProvenPlan:
     mission : Scenario
         The mission, with the plan's duration and passing times of waypoints.
     trajectories : Trajectories
-        States and controls of the plan. The table of a report does not say which columns are
-        states. In a plan from a report, every column is therefore both a state and a control.
+        States and controls of the plan. For a plan from a report, each quantity is listed both as a
+        state and as a control.
     is_paper_plan : bool
-        Whether the plan has no margins from its limits, so that a controller that corrects
-        disturbances may break a limit. A plan has margins only if its scenario states
-        `mission.risk`, the permitted probability that a flight breaks a limit.
+        Whether the plan has no margins from its limits, because the scenario does not state
+        `mission.risk`. A controller that corrects disturbances may then break a limit.
     """
 
     mission: Scenario
@@ -77,9 +76,8 @@ def read_proven(path: str | Path, *, is_code_allowed: bool = False) -> ProvenPla
     Raises
     ------
     ScenarioError
-        If there is no plan, if the plan is damaged, or if the new simulation does not confirm it.
-        Also if its status is not one of `PlanStatus.VERIFIED` (confirmed by simulation to the
-        requested accuracy) and `PlanStatus.USABLE` (confirmed to wider tolerances).
+        If there is no plan, if it is damaged, or if the new simulation does not confirm it. Also if
+        its status is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
     """
     place = Path(path)
     if place.is_dir():
@@ -180,9 +178,8 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If the new simulation does not confirm the plan. Also if its status is not one of
-            `PlanStatus.VERIFIED` (confirmed by simulation to the requested accuracy) and
-            `PlanStatus.USABLE` (confirmed to wider tolerances).
+            If the new simulation does not confirm the plan, or if its status is neither
+            `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
         """
         return cls._along(_proven(plan, is_code_allowed=is_code_allowed))
 
@@ -200,9 +197,8 @@ class Motion:
         Raises
         ------
         ScenarioError
-            If there is no plan, if the plan is damaged, or if the new simulation does not confirm
-            it. Also if its status is not one of `PlanStatus.VERIFIED` (confirmed by simulation to
-            the requested accuracy) and `PlanStatus.USABLE` (confirmed to wider tolerances).
+            If there is no plan, if it is damaged, or if the new simulation does not confirm it.
+            Also if its status is neither `PlanStatus.VERIFIED` nor `PlanStatus.USABLE`.
         """
         return cls._along(read_proven(path, is_code_allowed=is_code_allowed))
 
@@ -257,8 +253,8 @@ class Motion:
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times since the start of the flight [s]. Before the start and after the end of the
-            flight, the states are constant.
+            Times since the start [s]. Outside the flight, the values at its start or end are
+            returned.
         names : sequence of str
             Names of the states.
 
@@ -275,8 +271,8 @@ class Motion:
         Parameters
         ----------
         t : ndarray, shape (n,)
-            Times since the start of the flight [s]. At a time before the start, the derivative at
-            the start is returned; at a time after the end, the derivative at the end.
+            Times since the start [s]. Outside the flight, the derivatives at its start or end are
+            returned.
         names : sequence of str
             Names of the states.
 
@@ -325,8 +321,8 @@ class Motion:
         Parameters
         ----------
         rate_hz : float
-            Least number of times per second. The actual number may be slightly larger, so that a
-            whole number of equal intervals makes up the flight.
+            Least number of times per second. The flight is divided into a whole number of
+            intervals.
         """
         count = int(np.ceil(self.duration * rate_hz * (1.0 - 1e-12)))
         return np.linspace(0.0, self.duration, max(count, 1) + 1)
@@ -339,10 +335,9 @@ class Motion:
 
 
 def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
-    """Return the mesh with elements of the given degrees and nodes at the given times.
+    """Return the mesh with elements of the given degrees and nodes at the given times [s].
 
-    `times` are the times of all nodes [s], shape (n_nodes,), and `degrees` the polynomial degrees
-    of the elements, whose sum is n_nodes - 1.
+    `times` has shape (n_nodes,); the sum of the degrees is n_nodes - 1.
     """
     ends = times[np.concatenate(([0], np.cumsum(degrees)))]
     fractions = (ends - ends[0]) / (ends[-1] - ends[0])
@@ -352,22 +347,7 @@ def _mesh(times: FloatArray, degrees: tuple[int, ...]) -> Mesh:
 def _trajectories(frame: "pd.DataFrame", degrees: tuple[int, ...]) -> Trajectories:
     """Convert the trajectory table of a report to trajectories at the nodes of a mesh.
 
-    The table does not tell states from controls. In the result, every quantity is therefore listed
-    twice: as a state and as a control.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Trajectory table, with one row for each node of the mesh. One column has the times of the
-        nodes [s]; each other column has one quantity, such as a position or a rotor speed.
-    degrees : tuple of int
-        Polynomial degree of each element of the mesh.
-
-    Returns
-    -------
-    Trajectories
-        Values of the quantities at the nodes. There are no costates; energy and Hamiltonian are
-        zero.
+    Every quantity is listed as a state and as a control. Energy and Hamiltonian are zero.
     """
     times = frame[TIME].to_numpy(dtype=float)
     # The table does not say which quantities are states and which are controls. The equations of
@@ -417,8 +397,8 @@ class PolynomialTrajectory:
     durations : array, shape (n_pieces,)
         Durations of the pieces [s].
     coefficients : array, shape (n_pieces, 4, n_coefficients)
-        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the start of the
-        piece [s], the constant first.
+        Coefficients of x, y, z [m] and yaw [rad], the constant first. Polynomials of the time since
+        the start of the piece [s].
     """
 
     def __init__(self, durations: ArrayLike, coefficients: ArrayLike) -> None:
@@ -470,8 +450,8 @@ def fit_pieces(
 ) -> tuple[FloatArray, FloatArray]:
     """Approximate a plan by a spline of polynomial pieces of equal duration.
 
-    The spline has degree 7 and continuous derivatives up to the sixth. At both ends of the flight
-    it has the plan's velocity, acceleration and jerk, but zero as the third derivative of the yaw.
+    The spline has degree 7 and continuous derivatives up to the sixth. At both ends of the flight,
+    it has the plan's velocity, acceleration, jerk, yaw rate and yaw acceleration.
 
     Parameters
     ----------
@@ -487,8 +467,8 @@ def fit_pieces(
     durations : ndarray, shape (n_pieces,)
         Durations of the pieces [s].
     coefficients : ndarray, shape (n_pieces, 4, 8)
-        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the start of the
-        piece [s], the constant first.
+        Coefficients of x, y, z [m] and yaw [rad], the constant first. Polynomials of the time since
+        the start of the piece [s].
 
     Raises
     ------
@@ -499,6 +479,7 @@ def fit_pieces(
     motion.require((*POSITION_STATES, *VELOCITY_STATES, ATTITUDE_STATES[2]), "a polynomial")
     found = 0.0
     for pieces in _counts(most_pieces):
+        # At both ends, the third derivative of the yaw is zero instead of the plan's.
         durations, coefficients = _pieces(motion, pieces)
         found, yaw = piece_deviation(motion, durations, coefficients)
         if max(found, yaw) <= path_error_m:
@@ -522,14 +503,13 @@ def piece_deviation(
     durations : ndarray, shape (n_pieces,)
         Durations of the pieces [s].
     coefficients : ndarray, shape (n_pieces, 4, n_coefficients)
-        Coefficients of x, y, z [m] and yaw [rad] as polynomials of the time since the start of the
-        piece [s], the constant first.
+        Coefficients of x, y, z [m] and yaw [rad], the constant first. Polynomials of the time since
+        the start of the piece [s].
 
     Returns
     -------
     position, yaw : float
-        Largest distance [m] between the positions of plan and pieces, and largest difference [rad]
-        between the yaw angles of plan and pieces, at equal times.
+        Largest distance [m] and largest difference of the yaw angles [rad], at equal times.
     """
     t = np.linspace(
         0.0, motion.duration, min(_MOST_CHECKED, _CHECKED_PER_PIECE * len(motion.times))

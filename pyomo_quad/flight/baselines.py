@@ -104,8 +104,7 @@ def start_state(scenario: Scenario, dynamics: Dynamics, plan: Plan | None = None
 def _filters_at_start(dynamics: Dynamics) -> dict[str, float]:
     """Return the initial states of the filters that model turbulence: state name -> value.
 
-    `dynamics` has the equations of the simulated vehicle. The values are those that the Pyomo model
-    sets at its first time. The result is empty if the equations include no turbulence.
+    They are those of the Pyomo model; none if the equations include no turbulence.
     """
     if not set(FILTER_STATES) <= set(dynamics.state_names):
         return {}
@@ -154,8 +153,8 @@ def wanted_at_goal(scenario: Scenario, dynamics: Dynamics) -> dict[str, float]:
     Returns
     -------
     dict
-        State name -> value in the state's unit. The states of the battery are not included, because
-        the mission does not require values of them.
+        State name -> value in the state's unit. The mission does not require values of battery
+        states.
     """
     lighter = sqrt(scenario.mass_at_goal / scenario.vehicle.total_mass)
     return _hovering(scenario, scenario.mission.goal, dynamics, lighter)
@@ -172,16 +171,13 @@ def _hovering(
 
 
 def _charge_drawn(scenario: Scenario, dynamics: Dynamics) -> float:
-    """Return the charge missing from the full battery at the start of the flight [A h].
-
-    The result is the charge q with s(q) = `scenario.battery.initial_state_of_charge`. The function
-    s gives the state of charge in the model `dynamics`.
-    """
+    """Return the charge missing from the full battery at the start of the flight [A h]."""
     states = np.zeros((2, len(dynamics.state_names)))
     states[1, dynamics.state_names.index(CHARGE_STATE)] = 1.0
     controls = np.zeros((2, len(dynamics.control_names)))
     # The state of charge is a linear function of the missing charge.
     full, less = dynamics.evaluate(_STATE_OF_CHARGE, np.zeros(2), states, controls).tolist()
+    # The missing charge at which the state of charge has its initial value.
     return (scenario.battery.initial_state_of_charge - full) / (less - full)
 
 
@@ -213,8 +209,8 @@ class TumblingGuard:
     duration : float
         Duration of the flight [s]. The limit rises with the duration.
     jumps : int, optional
-        Number of restarts of the integrator. It is restarted whenever an input of the equations
-        jumps, such as the noise of the turbulence. The limit rises with this number.
+        Number of restarts of the integrator, which follow jumps of an input such as the noise of
+        the turbulence. The limit rises with this number.
     """
 
     def __init__(self, flight: str, duration: float, jumps: int = 0) -> None:
@@ -310,12 +306,11 @@ def fly(
     tolerance : float, optional
         Relative and absolute tolerance of the integrator.
     last : ndarray, shape (22,), optional
-        States of the controller at the end of the previous part of the flight, in which it followed
-        another reference. The order is that of the names in `CONTROLLER_STATES`. None if there is
-        no previous part.
+        States of the controller at the end of the previous part of the flight, in the order of
+        `CONTROLLER_STATES`. None if there is no previous part.
     system : ClosedLoop, optional
-        Compiled closed loop of this vehicle and controller, from the function `closed_loop`. By
-        default it is compiled for this flight, which takes about 0.1 s.
+        Result of `closed_loop` for this vehicle and controller; by default it is compiled, which
+        takes about 0.1 s.
 
     Returns
     -------
@@ -325,9 +320,10 @@ def fly(
     Raises
     ------
     SolveError
-        If the integration fails, or if the vehicle tumbles. A vehicle counts as tumbling if the
-        integrator needs too many evaluations. Also, as `TimeIsUpError`, at the time limit of an
-        enclosing `Deadline`.
+        If the integration fails, or if the vehicle tumbles: the integrator then needs too many
+        evaluations.
+    TimeIsUpError
+        If the time limit of an enclosing `Deadline` has passed.
     """
     if system is None:
         system = closed_loop(dynamics, controller)
@@ -376,9 +372,7 @@ def closed_loop(dynamics: Dynamics, controller: AdaptiveController) -> ClosedLoo
 class _Loop:
     """Closed loop of vehicle and controller as a system of differential equations.
 
-    The joint state holds the states of vehicle and controller, and the energy spent. `system` is
-    the compiled right-hand side. `guard` counts its evaluations, and raises an error if the vehicle
-    tumbles.
+    A joint state holds the states of the vehicle, those of the controller, and the energy spent.
     """
 
     def __init__(
@@ -397,10 +391,10 @@ class _Loop:
         self._guard = guard
 
     def started(self, t: float, state: FloatArray, last: FloatArray | None) -> FloatArray:
-        """Return the joint state of vehicle, controller and energy at the initial time t [s].
+        """Return the joint state at the initial time t [s].
 
-        `last` is the final state of the controller in the previous part of the flight. It is None
-        if there is no previous part.
+        `last` is the final state of the controller in the previous part of the flight, None if
+        there is none.
         """
         body, before = state[self._body].tolist(), None if last is None else last.tolist()
         own = self._controller.started(self._reference(t), body, before)
@@ -415,11 +409,7 @@ class _Loop:
         return self._system.rates(t, joint, self._controller.command(self._reference, t))
 
     def flight(self, times: FloatArray, rows: FloatArray) -> ClosedLoopFlight:
-        """Return the simulated flight, made from the integrated joint states.
-
-        Row k of `rows`, shape (n, n_joint), is the joint state of vehicle, controller and energy at
-        time k of `times`, shape (n,) [s].
-        """
+        """Return the simulated flight from the joint states `rows` at the given times [s]."""
         commands = np.array([self._controller.command(self._reference, t) for t in times.tolist()])
         return ClosedLoopFlight(
             flown=Flown(
@@ -473,24 +463,21 @@ def fly_baseline(
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times. For an autopilot's cruise, the times follow from the cruise
-        speed; the function `routes.cruise_at` makes a mission with these times.
+        The mission with fixed times. For an autopilot's cruise, the function `routes.cruise_at`
+        makes such a mission.
     reference : Reference
         Kind of path that the controller follows.
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        The plan to follow, if the reference is the plan. For every reference, the flight starts in
-        the initial state of a given plan. Its final costates are used to estimate the energy still
-        needed at the end of the flight. This is the energy to get from the final state to hover at
-        the goal.
+        The plan to follow, if the reference is the plan. If any plan is given, the flight starts in
+        its initial state.
 
     Returns
     -------
     Flight
-        Table of the flight over time, and results. The attribute `owed_energy_J` is the estimate of
-        the energy still needed. It is NaN without a plan. It is also NaN for a plan made for a
-        forecast wind, whose costates do not hold in the actual wind.
+        Table of the flight over time, and results. The attribute `owed_energy_J`, estimated with
+        the plan's costates, is NaN without a plan or with a wind forecast.
 
     Raises
     ------
@@ -544,8 +531,7 @@ def fly_reference(
     dynamics : Dynamics
         Simulated vehicle in its wind.
     plan : Plan, optional
-        Plan to follow, if the reference is the plan. If given, its initial state is also the
-        initial state of the flight.
+        Plan to follow, if the reference is the plan. The flight starts in its initial state.
     integrator : Integrator, optional
         SciPy's integration method.
     rate_hz : float, optional
@@ -664,24 +650,23 @@ def assembled_flight(
     dynamics : Dynamics
         Simulated vehicle.
     flown_twice : sequence of (Flown, Flown)
-        Each part of the flight, simulated by two integrators from the same state. A flight has
-        several parts if the plan is replaced in flight.
+        Each part of the flight, simulated by two integrators. There are several parts if the plan
+        is replaced in flight.
     plan : Plan or None
         Plan whose costates give the estimate of the energy still needed. The estimate is NaN
-        without a plan. It is also NaN for a plan made for a forecast wind, whose costates do not
-        hold in the actual wind.
+        without a plan, and for a plan made for a forecast wind.
     began : float
         Value of `time.perf_counter` at the start of the simulation [s], for the computing time.
 
     Returns
     -------
     Flight
-        The whole flight. It is verified if the battery can supply the power, and the differences
-        between the integrators, summed over the parts, are small. The attribute `owed_energy_J` is
-        the estimate of the energy still needed.
+        The whole flight. It is verified if the battery can supply the power, and the two
+        integrators agree.
     """
     flown = _joined([part for part, _ in flown_twice])
     final = dict(zip(dynamics.state_names, flown.states[-1].tolist(), strict=True))
+    # The differences between the integrators are summed over the parts.
     doubt = "; ".join(_doubts(dynamics, flown_twice, flown))
     # The costates of a flight in another wind do not apply to the end of this mission.
     is_told = scenario.wind.forecast is None
@@ -719,10 +704,8 @@ def broken_under_control(
 ) -> dict[str, float]:
     """Return the limits that a flight under feedback violates: name in words -> relative amount.
 
-    Limits of the model have the tolerance of the scenario's accuracy. At a waypoint with a given
-    time, and in a hover, the arrival tolerances `ARRIVAL_DISTANCE_M` [m] and
-    `ARRIVAL_SPEED_M_PER_S` [m/s] are added to the limits on distance and speed. The limit
-    `mission.yaw_keeping` applies to plans only, and is not checked.
+    Limits of the model have the tolerance of the scenario's accuracy. At waypoints and in hovers,
+    `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s] are added to the limits.
 
     Parameters
     ----------
@@ -752,28 +735,20 @@ def broken_under_control(
 
 @dataclass(frozen=True, kw_only=True)
 class _Missed:
-    """Record of a waypoint that a flight passes too far away or too fast.
+    """Record of a waypoint that a flight passes too far away or too fast."""
 
-    Attributes
-    ----------
-    limit : str
-        Name of the violated constraint in the Pyomo model.
-    relative : float
-        Violation relative to the larger of 1 and the limit.
-    words : str
-        Text for the user with the limit and the actual distance [m] or speed [m/s].
-    """
-
+    # Name of the violated constraint in the Pyomo model.
     limit: str
+    # Violation relative to the larger of 1 and the limit.
     relative: float
+    # Limit and actual distance [m] or speed [m/s], for the user.
     words: str
 
 
 def _missed_waypoints(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> Iterator[_Missed]:
-    """Yield a record for each violated limit on distance or speed at a waypoint.
+    """Yield a record for each violated limit on distance or speed at a waypoint with a given time.
 
-    Only waypoints with given times are checked, at the sample nearest to that time. The arrival
-    tolerances `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s] are added to the limits.
+    The arrival tolerances `ARRIVAL_DISTANCE_M` [m] and `ARRIVAL_SPEED_M_PER_S` [m/s] are allowed.
     """
     states = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     for k, waypoint in enumerate(scenario.mission.waypoints):
@@ -862,9 +837,7 @@ def _doubts(
 ) -> Iterator[str]:
     """Yield the reasons, in words, why a simulated flight is not verified.
 
-    Reasons are that two integrators differ, or that the battery lacks power, charge or voltage.
-    `flown_twice` has two simulations of each part of the flight, one by each integrator. `flown` is
-    the whole flight, simulated by the first integrator.
+    `flown_twice` has the parts by two integrators, `flown` the whole flight by the first of them.
     """
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     ends = np.array([[flown.states[-1, columns] for flown in pair] for pair in flown_twice])
@@ -902,10 +875,10 @@ def _doubts(
 def _joined(parts: Sequence[Flown]) -> Flown:
     """Join consecutive parts of a simulated flight into one flight.
 
-    The energy of a part counts from its start, the energy of the result from the start of the
-    flight. The sample that two parts share is included once.
+    The energy of the result counts from the start of the flight, that of a part from its own start.
     """
     spent = np.cumsum([0.0, *(part.energy[-1] for part in parts)])
+    # The sample that two parts share is included once.
     kept = [slice(0, None), *(slice(1, None) for _ in parts[1:])]
     return Flown(
         t=np.concatenate([part.t[k] for part, k in zip(parts, kept, strict=True)]),

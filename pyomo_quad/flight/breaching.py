@@ -42,9 +42,8 @@ THERE, AT_REST = "distance from the goal at the end", "speed at the end"
 class LimitDistance:
     """Statistics of the distance between flights in turbulence and one bound on a constraint.
 
-    The distance is the difference between the bound, such as the limit on the roll angle, and the
-    constrained quantity. It is positive within the bound. The flights follow one plan under
-    feedback, at n times.
+    The distance is positive within the bound, such as the limit on the roll angle. The flights
+    follow one plan under feedback, at n times.
 
     Attributes
     ----------
@@ -53,8 +52,7 @@ class LimitDistance:
     field : str
         Scenario field that sets this bound, such as "limits.roll_max".
     distance : ndarray, shape (n,)
-        Distance of the mean flight (without gusts) from the bound, in the unit of the bound. It is
-        measured to the bound itself, not to the tightened bound that the plan keeps.
+        Distance of the mean flight (without gusts) from the bound, in the unit of the bound.
     planned : ndarray, shape (n,)
         Distance of the plan itself from the same bound, in the unit of the bound.
     deviation : ndarray, shape (n,)
@@ -65,6 +63,7 @@ class LimitDistance:
 
     name: str
     field: str
+    # The bound is the scenario's own, not the tightened one that the plan keeps.
     distance: FloatArray
     planned: FloatArray
     deviation: FloatArray
@@ -81,10 +80,8 @@ class LimitDistance:
     def probability(self, present: float = 0.0, changed: float = 0.0) -> float:
         """Predict the probability that a flight breaks the limit, for a plan with another margin.
 
-        Let d be the distance of the present plan from the limit. At times at which d is close to
-        the present margin or below it, the new plan has the distance `changed`. At other times, it
-        has the distance max(d, `changed`). Close means within a quarter of the margin or of the
-        largest `deviation`, whichever is larger.
+        Where the present plan is close to its margin, the new plan has the distance `changed` from
+        the limit. At other times, its distance is the larger of the present distance and `changed`.
 
         Parameters
         ----------
@@ -98,6 +95,8 @@ class LimitDistance:
         float
             Probability that a flight along the new plan breaks the limit.
         """
+        # Close means within a quarter of the margin or of the largest deviation, whichever is
+        # larger.
         is_active = self.planned <= present + _ACTIVE * max(present, self.deviation.max())
         to_come = np.where(is_active, changed, np.maximum(self.planned, changed))
         # The distance of the mean flight changes by the same amount as that of the plan.
@@ -131,16 +130,10 @@ _HALVINGS = 30
 def _crossing(distance: FloatArray, deviation: FloatArray, correlation: FloatArray) -> float:
     """Return the probability that a flight starts beyond a limit or crosses it later.
 
-    Over the flights, the distance from the limit is normally distributed. Negative distances are
-    beyond the limit. The probability of crossings follows from Rice's formula.
-
-    Parameters
-    ----------
-    distance, deviation : ndarray, shape (n,)
-        Mean and standard deviation of the distance from the limit at n times.
-    correlation : ndarray, shape (n - 1,)
-        Correlation of the distances at one time and at the next.
+    `distance` and `deviation` are mean and standard deviation of the distance, negative beyond the
+    limit.
     """
+    # Over the flights, the distance is normally distributed.
     beyond = distance / np.maximum(deviation, _ROUNDING)
     # If the mean approaches the limit during a step, more flights are beyond it after the step.
     outside = ndtr(-beyond)
@@ -196,15 +189,9 @@ def limit_distances(
 
 
 def _gradients(spread: Spread) -> dict[str, FloatArray]:
-    """Return the derivatives of all path constraints with respect to the states.
+    """Return the derivatives of all path constraints with respect to the states, by constraint.
 
-    `spread` is the distribution of the states of flights about their mean flight. The derivatives
-    are central differences at the mean flight.
-
-    Returns
-    -------
-    dict
-        Name of a constraint -> ndarray, shape (n, n_states), at the n times of the spread.
+    They are central differences at the mean flight, shape (n, n_states).
     """
     dynamics, n_states = spread.dynamics, spread.states.shape[1]
     last = len(spread.t) - 1
@@ -242,10 +229,8 @@ class Miss:
     words : str
         The limit in words, such as "distance from waypoint 1".
     field : str
-        Name of the scenario field that is tightened so that fewer flights break the limit. An
-        example is the radius of a waypoint. Empty if no field can be tightened, as at the goal,
-        which every plan reaches exactly. Only a larger reserve of thrust for the controller then
-        helps.
+        Scenario field, such as the radius of a waypoint, that is tightened so that fewer flights
+        break the limit. Empty if there is none, as at the goal.
     off : ndarray, shape (n_instants, n_samples)
         Samples of the distance [m] or the speed [m/s].
     within : float
@@ -253,6 +238,8 @@ class Miss:
     """
 
     words: str
+    # Every plan reaches the goal exactly. Only a larger reserve of thrust for the controller helps
+    # there.
     field: str
     off: FloatArray
     within: float

@@ -81,23 +81,19 @@ class Candidate:
     mission : MissionProblem
         Compiled problem of the scenario in its forecast wind.
     search : Search
-        Record of the strategies tried. It is also the progress callback that stops solves at the
-        time limit.
+        Record of the strategies tried, and progress callback that stops solves at the time limit.
     start : Start or None
-        Starting point of the search: a plan, a warm start, the solution of a similar problem, or
-        the mission's solution along its shortest route (`AlongShortest`). None if the search has no
-        starting point.
+        Starting point of the search, such as a plan, a warm start or the solution of a similar
+        problem.
     solution : Solution or None
-        The solution from which the plan is made. A first solve stores its result, converged or
-        not, without a comparison. A retry stores its result only if it succeeds. None before the
-        first solve.
+        The solution from which the plan is made, converged or not. None before the first solve.
     routes : tuple of TriedRoute
         Result for each route that was tried.
     is_closed : bool
         Whether keep-out zones block every route.
     diagnosis : Diagnosis or None
         Diagnosis of a failed solve by an elastic problem, which minimises the violation of the
-        limits. None if there was no such diagnosis.
+        limits.
     slower : Trajectory or None
         Solution of the mission with a longer duration, if there is one.
     shortest : Solution or None
@@ -116,6 +112,7 @@ class Candidate:
     mission: MissionProblem
     search: Search
     start: Start | None = None
+    # A first solve stores its result in any case, a retry only if it succeeds.
     solution: Solution | None = None
     routes: tuple[TriedRoute, ...] = ()
     is_closed: bool = False
@@ -219,10 +216,9 @@ class Candidate:
 
     @staticmethod
     def _in_order_of_mission(mission: MissionProblem, similar: Solution) -> Trajectory:
-        """Return the trajectory of a similar problem, for use as an initial guess of the mission.
+        """Return the trajectory of a similar problem, as an initial guess of the mission.
 
-        Both problems have the same static variables, but their order may differ. The result has the
-        order of `mission`.
+        Static variables have the order of `mission`.
         """
         slots = similar.problem.compiled.declared.statics
         held = dict(zip((slot.name for slot in slots), similar.trajectory.statics, strict=True))
@@ -246,8 +242,8 @@ class Candidate:
     def from_warm_start(self) -> str | None:
         """Solve the mission from a warm start: variables and multipliers of an earlier solve.
 
-        The result becomes `solution`, even if it failed. But if the model has no regeneration
-        (braking rotors return no energy), a result with the status not converged is discarded.
+        The result becomes `solution`, even if it failed. A result that is not converged may be
+        discarded, so that other strategies are tried.
 
         Returns
         -------
@@ -258,6 +254,7 @@ class Candidate:
         solution = self.mission.solve(mesh=None, warm_start=self._warm_start)
         # Without regeneration, the power has a kink at zero, which makes the problem hard to solve
         # directly. Other strategies are better suited.
+        # Regeneration means that braking rotors return energy.
         if self.mission.easier and solution.status is Status.NOT_CONVERGED:
             return solution.status.value
         self.solution = solution
@@ -306,10 +303,8 @@ class Candidate:
     def from_cruise(self) -> str | None:
         """Solve the mission with steady flight as initial guess.
 
-        The meshes have short elements at both ends of the flight, where the vehicle accelerates and
-        brakes. A solve on a rough mesh comes first; if it succeeds, the mission is solved from its
-        result on a fine mesh, with refinement. The last result becomes `solution`, even if it
-        failed.
+        The mission is solved on a rough mesh first and, if that succeeds, on a fine mesh. The last
+        result becomes `solution`, even if it failed.
 
         Returns
         -------
@@ -319,6 +314,8 @@ class Candidate:
         mission, told = self.mission, self.mission.told
         guess = guess_of(told, mission.steady)
         duration = (guess or {}).get("duration", told.nominal_duration)
+        # The vehicle accelerates and brakes at the ends of the flight. The meshes have short
+        # elements there.
         rough = mission.solve(mesh=rough_mesh(duration), tolerance=None, guess=guess)
         self.solution = rough
         if rough.status.is_solved:
@@ -392,9 +389,8 @@ class Candidate:
     def restore(self) -> str | None:
         """Diagnose the failed solve by an elastic problem, and solve the mission again.
 
-        The elastic problem minimises the violation of the mission's limits. A solution without
-        violations is a feasible point of the mission. The mission is solved again from this point,
-        and the new solution is kept if its solve succeeds. The method sets `diagnosis`.
+        The elastic problem minimises the violation of the limits. If there is no violation left,
+        its solution is the initial guess for the mission. The method sets `diagnosis`.
 
         Returns
         -------
@@ -417,10 +413,8 @@ class Candidate:
     def slow_down(self, by: float) -> str:
         """Solve the mission with its duration multiplied by ``by``.
 
-        The solve starts from the solution that the previous call of this method found, if any.
-        Otherwise it starts from the default guess of the model. If the solve succeeds, its
-        trajectory becomes the attribute `slower`, the starting point for the method `speed_up`. If
-        the solve is interrupted, its result becomes `solution`.
+        If the solve succeeds, its trajectory becomes the attribute `slower`, from which the method
+        `speed_up` starts.
 
         Returns
         -------
@@ -428,6 +422,8 @@ class Candidate:
             The solver's status.
         """
         longest = self.mission.told.mission.longest.value
+        # The initial guess is the slower flight of the previous call, or the default guess of the
+        # model.
         slow = self.mission.solve_roughly(horizon=(0.0, by * longest), guess=self.slower)
         if slow.status is Status.INTERRUPTED:
             self.solution = slow
@@ -494,12 +490,7 @@ class Candidate:
     def _retried(self, trajectory: Trajectory) -> str:
         """Solve the failed mission again from a trajectory; keep the solution if this succeeds.
 
-        `trajectory` is the initial guess. Its mesh is the first mesh of the solve.
-
-        Returns
-        -------
-        str
-            The solver's status.
+        The result is the solver's status.
         """
         # A flight found on a finer mesh may be infeasible on the first mesh.
         solution = self.mission.solve_from(trajectory, trajectory.mesh)
@@ -510,13 +501,8 @@ class Candidate:
     def judge(self) -> None:
         """Record why the mission failed, and decide whether it is infeasible.
 
-        The method sets the attribute `failure` and the status of the solution. If there is no
-        diagnosis, it changes nothing. If `_doubt` finds a reason to believe that the mission is
-        possible, the mission is not judged infeasible. Otherwise it is infeasible in two cases:
-
-        - Its greatest allowed duration is below the least duration that `find_shortest` found.
-        - The elastic problem still violates a limit, and `find_shortest` found no flight within the
-          mission's duration.
+        The method sets the attribute `failure` and the status of the solution. Without a diagnosis,
+        it changes nothing.
         """
         if self.diagnosis is None:
             return
@@ -528,6 +514,8 @@ class Candidate:
             remedies=self._remedies(self.diagnosis) if is_infeasible and not doubt else (),
             doubt=doubt,
         )
+        # Infeasible: the allowed duration is below the least one, or the elastic problem still
+        # violates a limit and no flight of allowed duration is known.
         is_proven = self.failure.is_too_short or (is_infeasible and not self.has_shorter())
         status = Status.INFEASIBLE if is_proven and not doubt else Status.NOT_CONVERGED
         self.solution = replace(self.found, status=status)
@@ -535,8 +523,7 @@ class Candidate:
     def _doubt(self) -> str:
         """Return a reason to believe that the mission is possible although all solves failed.
 
-        The text is empty without a reason. Either a flight kept all limits on a coarse mesh, or
-        routes through a wind field were not tried.
+        The text is empty without a reason.
         """
         met = sum(route.energy_J is not None for route in self.routes)
         if met:
@@ -559,13 +546,13 @@ class Candidate:
     def _remedies(self, diagnosis: Diagnosis) -> tuple[Relaxation, ...]:
         """Return the single limits whose relaxation alone would make the mission feasible.
 
-        The elastic problem is solved with one limit relaxed, for each of the first three violated
-        or active limits of the table `limits` in `diagnosis`. Each item has the necessary
-        relaxation.
+        Each item has the necessary relaxation.
         """
         candidates = [r.name for r in diagnosis.relaxations] + [a.name for a in diagnosis.active]
         limits = [name for name in dict.fromkeys(candidates) if name.startswith(_LIMITS)]
         found: list[Relaxation] = []
+        # The elastic problem is solved with one limit relaxed, for the first violated or active
+        # limits.
         for name in limits[:_MOST_REMEDIES]:
             try:
                 alone = diagnose(self.found, families=frozenset({name}), progress=self.search)
@@ -606,8 +593,7 @@ class Candidate:
         """Solve again with stricter values of the limits that the simulated flight breaks.
 
         The solve is repeated until the simulated flight keeps the mission's own limits, but at most
-        four times. The last plan becomes the attribute `flown`. If a plan costs less than the
-        present solution, its solution becomes the attribute `solution`, and the repetition ends.
+        four times. The last plan becomes the attribute `flown`.
 
         Returns
         -------
@@ -628,6 +614,7 @@ class Candidate:
                 break
             # Stricter limits cannot reduce the energy of a global optimum: `relaxed` is only a
             # local one. The search then continues from the plan's solution.
+            # A better plan ends the repetition.
             if plan.solution is not None and self._is_better(plan, relaxed):
                 self.solution, self._known = plan.solution, None
                 break
@@ -636,8 +623,7 @@ class Candidate:
     def _is_better(self, plan: Plan, relaxed: Solution) -> bool:
         """Return whether a plan with stricter limits costs less than the solution without them.
 
-        The energy of `plan` must be lower than that of `relaxed` by more than the solver's relative
-        tolerance.
+        The difference must exceed the solver's relative tolerance.
         """
         least, tolerance = energy_of(self.mission.told, relaxed), self.scenario.solver.tolerance
         return least - plan.energy > tolerance * abs(least)
@@ -658,15 +644,14 @@ class Candidate:
     def tighten(self) -> str | None:
         """Solve again with smaller tolerances of the mesh refinement, and simulate the new plan.
 
-        The solve begins on the present mesh, with shorter elements where the simulated flight
-        entered keep-out zones. If it converges, `solution` and `flown` are replaced. The attribute
-        `tolerance` may be reduced in any case.
+        If the solve converges, `solution` and `flown` are replaced. The attribute `tolerance` may
+        be reduced in any case.
 
         Returns
         -------
         str or None
-            Tolerance of the mesh refinement in the new solve, as text such as "tolerance 1e-07";
-            None if the new solve does not converge.
+            Tolerance of the mesh refinement, such as "tolerance 1e-07"; None if the new solve does
+            not converge.
         """
         found, asked = self.found, self.scenario.solver.accuracy
         plan, figures = self.plan, FIGURES[asked]
@@ -677,6 +662,7 @@ class Candidate:
         # With corrected controls, a coarse mesh costs no more energy than estimated.
         if asked is Accuracy.PROOF or found.error_estimate > figures.energy:
             self.tolerance *= _TIGHTER
+        # The present mesh, with shorter elements where the simulated flight entered keep-out zones.
         mesh = mesh_where_broken(found, plan, figures)
         tighter = self.mission.solve(
             tolerance=self.tolerance,
@@ -743,9 +729,9 @@ class Candidate:
 def guess_from(plan: Plan, scenario: Scenario) -> dict[str, Any]:
     """Return a plan as an initial guess for the solve of a mission with the same waypoints.
 
-    Full names of states and controls map to their values at the n nodes of the plan, shape (n,).
-    "time" maps to the nominal times of these nodes in the mission `scenario` [s], shape (n,). Names
-    of variables for times that a solve chooses map to the times of the plan [s].
+    Names of states and controls, and "time", map to values at the n nodes of the plan, shape (n,).
+    The values of "time" are nominal times of the mission [s]. Names of variables for free times map
+    to times of the plan [s].
     """
     held, times = plan.trajectories, plan.trajectories.node_times
     guess = dict(zip(held.state_names, held.states.T, strict=True))

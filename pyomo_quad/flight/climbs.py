@@ -1,10 +1,9 @@
 """Routes raised over terrain, with climbs and descents on legs that are too low.
 
 A leg is the line between two corners of a route. The floor is the least height above the ground
-that the mission allows. A leg that is below the floor anywhere is replaced by a climb, a level part
-and a descent. The level part is at the greatest height that the floor requires along the leg. Climb
-and descent are just steep enough to clear the floor. A short level part is left out: the extended
-climb and descent meet slightly above it.
+that the mission allows. A leg below the floor is replaced by a climb, a level part and a descent.
+The level part has the greatest height that the floor requires along the leg. Climb and descent are
+just steep enough to clear the floor.
 """
 
 from itertools import pairwise
@@ -54,8 +53,7 @@ def over_the_ground(places: FloatArray, airspace: Airspace) -> FloatArray:
 def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
     """Return the corners that must be inserted to raise one leg of a route over terrain.
 
-    `ends` has the ends of the leg [m]. The result, shape (n, 3), has the ends of the level part, or
-    the one corner where climb and descent meet. It is empty if the leg is high enough.
+    The result has shape (n, 3) [m], and n = 0 if the leg is high enough.
     """
     length = float(np.linalg.norm(np.diff(ends[:, :2], axis=0)))
     step = airspace.ground.least_step if airspace.ground is not None else np.inf
@@ -70,6 +68,7 @@ def _summits(ends: FloatArray, airspace: Airspace, floor: float) -> FloatArray:
     descent = max(float(((needed - last) / (1 - shares)).max()), 0.0)
     meeting = (last + descent - first) / (climb + descent)
     top = first + climb * meeting
+    # A short level part is left out: the extended climb and descent meet slightly above it.
     if 0.0 < meeting < 1.0 and top - level <= _HIGHER * (level - min(first, last)):
         corners = [(meeting, top)]
     else:

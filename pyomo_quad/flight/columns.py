@@ -47,15 +47,14 @@ class Column:
     component : str
         Full name of the component of the Pyomo model whose values are in the column.
     index : int or None
-        Index of the component other than time, such as the number of a rotor. None if time is the
-        only index.
+        Index of the component other than time, such as the number of a rotor; None if there is
+        none.
     words, symbol, unit : str
         Name in words, symbol (LaTeX) and unit, as printed in figures.
     scale : float
         Factor from the stored value to the printed value.
     smallest_span : float
-        Least range of the axis in a figure, in the printed unit. Without it, the axis of a constant
-        quantity would be scaled to its rounding errors.
+        Least range of the axis in a figure, in the printed unit.
     """
 
     name: str
@@ -63,6 +62,7 @@ class Column:
     words: str = ""
     symbol: str = ""
     unit: str = ""
+    # Without it, the axis of a constant quantity would be scaled to its rounding errors.
     smallest_span: float = 0.0
     scale: float = 1.0
     index: int | None = None
@@ -99,8 +99,7 @@ class Column:
 def _of(block: str) -> Callable[..., Column]:
     """Return a function that makes table columns for the variables of one block of the model.
 
-    Arguments of the function: name of the column, name of the variable within `block`, and the
-    other attributes of `Column`.
+    Its arguments: name of the column, name of the variable, other attributes of `Column`.
     """
     return lambda name, shown, *printed: Column(name, f"{block}.{shown}", *printed)
 
@@ -209,9 +208,8 @@ def flight_columns(
     Returns
     -------
     dict
-        Name of the column -> values, shape (n,). The first column is the time. The others are body
-        and rotor motion, thrust, power, energy, wind, battery and motors, in the order of the
-        function `columns_of`.
+        Name of the column -> values, shape (n,). The first column is the time. The others have the
+        order of the function `columns_of`.
     """
     count = sum(name.startswith(_ROTOR_CONTROL) for name in dynamics.control_names)
     columns_here = columns_of(range(1, count + 1)) if count else COLUMNS

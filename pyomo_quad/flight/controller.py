@@ -1,13 +1,12 @@
 """Adaptive backstepping controller for position and attitude of a quadrotor.
 
 The paper by Yacef et al., whose model this package uses, refers to such a controller without its
-equations. For the control law of this module, the proof by a Lyapunov function and the limits, see
+equations. For the control law, the proof by a Lyapunov function and the limits, see
 docs/theory/controller.md, eqs. (1) to (11).
 
-The control law can be called with numbers or with symbolic variables. With symbolic variables it
-returns expressions, which are compiled together with the equations of the vehicle. The law
-therefore uses only arithmetic and NumPy's scalar functions, without branches (if) that depend on
-values.
+The control law accepts numbers and symbolic variables; with symbolic variables, it returns
+expressions. It therefore uses only arithmetic and NumPy's scalar functions, without branches (if)
+that depend on values.
 """
 
 from collections.abc import Iterable, Sequence
@@ -150,8 +149,7 @@ class EulerRates:
     def _turning(self, attitude: Vector, body_rates: Vector) -> Vector:
         """Return the second derivatives of roll, pitch and yaw at constant body rates [rad/s^2].
 
-        They are not zero, because the rates of the three angles depend on the attitude, which
-        changes. `attitude` is in rad, `body_rates` in rad/s.
+        At constant body rates, the changing attitude still changes the rates of the angles.
         """
         pitch = attitude[1]
         rolling, pitching, yawing = self.angle_rates(attitude, body_rates)
@@ -307,8 +305,7 @@ def _steps_within(
 ) -> tuple[float, float]:
     """Return the largest steps, backward and forward, for which all values stay within limits.
 
-    A step s adds s times `direction` to `values`. The backward step is at most zero, the forward
-    step at least zero.
+    A step s adds s times `direction` to the values. The backward step is zero or negative.
     """
     ways = [(value, share) for value, share in zip(values, direction, strict=True) if share != 0.0]
     back = [((low if share > 0 else high) - value) / share for value, share in ways]
@@ -349,13 +346,13 @@ def bend(magnitude: float, limit: float) -> float:
     Returns
     -------
     float
-        The number itself, if its absolute value is at most 80 % of the limit. Otherwise, the
-        absolute value of the result follows a tanh function that approaches the limit, and the sign
-        is that of the number. The result is twice continuously differentiable.
+        The number itself up to 80 % of the limit; above that, a tanh function of the same sign,
+        which approaches the limit.
     """
     straight = _LINEAR_SHARE * limit
     rest = limit - straight
     untouched = _clipped(magnitude, -straight, straight)
+    # The result is twice continuously differentiable, because tanh has no curvature at zero.
     return untouched + rest * np.tanh((magnitude - untouched) / rest)
 
 
@@ -374,8 +371,8 @@ def braking_rate(error: float, gain: float, acceleration_max: float) -> float:
     Returns
     -------
     float
-        Rate r = gain e / sqrt(1 + q) with q = gain^2 |e| / a, in the unit of the error per s. For
-        small errors, r is about gain e. For large errors, |r| is about sqrt(a |e|).
+        r = gain e / sqrt(1 + q) with q = gain^2 abs(e) / a, in the unit of the error per s. For
+        large errors, abs(r) is about sqrt(a abs(e)).
 
     Notes
     -----
@@ -457,10 +454,9 @@ class BacksteppingLoop:
         error_rate: Sequence[float],
         learnt: Sequence[float] = (0.0,) * _AXES,
     ) -> list[float]:
-        """Return the initial states of the loop.
+        """Return the initial states of the loop, for which the compensated errors are zero.
 
-        The states that describe the actuators' lag are chosen so that the compensated errors are
-        zero. A compensated error is a tracking error minus the effect of the lag.
+        A compensated error is a tracking error minus the effect of the actuators' lag.
 
         Parameters
         ----------
@@ -472,8 +468,8 @@ class BacksteppingLoop:
         Returns
         -------
         list of nine floats
-            The states of the loop: three values of xi_p (effect of the lag on the error), three of
-            xi_v (effect of the lag on the rate of the error), three of the estimated disturbance.
+            Three values each of xi_p and xi_v, the effects of the lag on the error and on its rate,
+            and of the estimated disturbance.
         """
         shrink = _shrink(error, self.reach)
         missing = [
@@ -540,10 +536,9 @@ class BacksteppingLoop:
 
 
 def _shrink(vector: Sequence[float], reach: float) -> float:
-    """Return the factor 1 / sqrt(1 + |v|^2 / reach^2), which limits the length of a vector v.
+    """Return the factor 1 / sqrt(1 + abs(v)^2 / reach^2), which limits the length of a vector v.
 
-    `vector` is v, with three components. The product of the factor and v is always shorter than
-    `reach`, a length in the unit of v.
+    The product of the factor and v is always shorter than `reach`.
     """
     a, b, c = vector
     return 1 / np.sqrt(1 + (a * a + b * b + c * c) / reach**2)
@@ -644,16 +639,15 @@ class ThrustEnvelope:
     ) -> tuple[float, float, float]:
         """Limit the commanded acceleration by reducing its difference from the planned one.
 
-        The planned acceleration itself is not reduced. If it needs more thrust or tilt than the
-        limits allow, the limits are raised to what it needs.
+        The planned acceleration itself is not reduced, even if it exceeds the limits.
 
         Parameters
         ----------
         acceleration : sequence of three floats
             Commanded acceleration of the vehicle, zero in hover [m/s^2].
         planned : sequence of three floats, optional
-            Planned acceleration [m/s^2]. It is zero in hover, and if there is no plan. If it is
-            zero, the result is parallel to the command.
+            Planned acceleration [m/s^2]; zero if there is no plan. The result is then parallel to
+            the command.
 
         Returns
         -------
@@ -661,6 +655,7 @@ class ThrustEnvelope:
             planned + (s(acceleration) - s(planned)) [m/s^2]. The function s shortens a vector to
             fit the limits of thrust and tilt.
         """
+        # If the plan needs more thrust or tilt than the limits allow, `_reach` raises the limits.
         whole, own = (self._shortened(vector, planned) for vector in (acceleration, planned))
         x, y, z = (a + b - c for a, b, c in zip(planned, whole, own, strict=True))
         return x, y, z
@@ -674,11 +669,8 @@ class ThrustEnvelope:
     def _reach(self, along: float, upward: float, planned: Sequence[float]) -> float:
         """Return the largest acceleration [m/s^2] in a direction, within thrust and tilt limits.
 
-        The vertical thrust must balance at least 30 % of the weight, or what `planned` needs if
-        that is less.
-
         `along` and `upward` are the horizontal and vertical components of the unit vector in this
-        direction. `planned` is in m/s^2.
+        direction.
         """
         gravity = self._gravity
         level, lift = _size(planned[:2]), planned[2] + gravity
@@ -686,6 +678,7 @@ class ThrustEnvelope:
         # plan keeps the actual limits of the vehicle.
         reserve = np.fmax(self._reserve, level**2 + lift**2 - gravity**2)
         slope = np.fmax(self._slope, level / np.fmax(lift, _NOUGHT))
+        # The thrust must balance 30 % of the weight, or what the plan needs if that is less.
         support = np.fmin(_LEAST_SUPPORT * gravity, lift)
         rising = gravity * upward
         by_thrust = np.sqrt(rising**2 + reserve) - rising
@@ -748,8 +741,8 @@ class AdaptiveController:
     mixer : ndarray, shape (4, n_rotors)
         Thrust and moments per squared rotor speed, as `mixer_matrix` returns them.
     learnt : sequence of three floats, optional
-        Initial estimate of the acceleration that the air causes [m/s^2], from an earlier part of
-        the flight. It is ignored if `baseline.adaptation` of the scenario is false.
+        Initial estimate of the acceleration that the air causes [m/s^2]. It is ignored if
+        `baseline.adaptation` of the scenario is false.
     """
 
     def __init__(
@@ -801,9 +794,8 @@ class AdaptiveController:
             Position, velocity, attitude and body rates of the vehicle, in the order of the names in
             `MEASURED_STATES`.
         last : sequence of 22 floats, optional
-            The controller's states at the end of the previous reference, if there was one. If
-            given, only the position loop is reset, and the attitude command continues without a
-            jump.
+            Final states for the previous reference, if there was one. Only the position loop is
+            then reset; the attitude command continues without a jump.
 
         Returns
         -------
@@ -920,14 +912,14 @@ class AdaptiveController:
         return alpha, [*position_rates, *attitude_rates, *command_rates]
 
     def _most_rotor_acceleration(self, speed: float) -> float:
-        """Return the largest rotor acceleration at the rotor speed `speed` [rad/s], in rad/s^2.
+        """Return the largest rotor acceleration [rad/s^2] at a rotor speed [rad/s].
 
-        It limits gathering and losing speed alike. Near the largest rotor speed, the lag of the
-        motors reduces it.
+        It limits gaining and losing speed alike.
         """
         most = self._rotor_acceleration_max
         if not self._motor_lag:
             return most
+        # Near the largest rotor speed, the lag of the motors reduces it.
         return np.fmin(most, np.fmax(self._rotor_speed_max - speed, 0.0) / self._motor_lag)
 
     def _filtered(
@@ -937,27 +929,10 @@ class AdaptiveController:
         command: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the accelerations of the commanded tilt, and the rates of the filter's states.
+        """Return the accelerations of the commanded tilt [rad/s^2], and the filter's rates.
 
-        The command filter smooths the roll and pitch that point the thrust along a force.
-
-        Parameters
-        ----------
-        force : sequence of three floats
-            Force in world axes [N].
-        yaw : float
-            Present yaw [rad].
-        command : sequence of 22 floats
-            The controller's input, with the planned rates and accelerations of roll and pitch.
-        states : sequence of four floats
-            States of the filter: commanded roll and pitch [rad], and their rates [rad/s].
-
-        Returns
-        -------
-        accelerations : list of two floats
-            Accelerations of the commanded roll and pitch [rad/s^2].
-        rates : list of four floats
-            Time derivatives of the filter's states.
+        `states` are commanded roll and pitch [rad], and their rates [rad/s]. `force` is in world
+        axes [N].
         """
         angles, angle_rates = states[:2], states[2:]
         targets = [
@@ -974,6 +949,7 @@ class AdaptiveController:
             self._tilt_acceleration_max,
             strict=True,
         ):
+            # The filter smooths the roll and pitch that point the thrust along the force.
             closing = known_rate + braking_rate(target - angle, self._tilt_gain, most)
             correction = bend(_CRITICAL * self._tilt_gain * (closing - rate), most)
             accelerations.append(known_acceleration + correction)
@@ -987,28 +963,10 @@ class AdaptiveController:
         achieved: Sequence[float],
         states: Sequence[float],
     ) -> tuple[list[float], list[float]]:
-        """Return the commanded moments, and the derivatives of the attitude loop's states.
+        """Return the commanded moments [N m], and the derivatives of the attitude loop's states.
 
-        Parameters
-        ----------
-        setpoint : Setpoint
-            Setpoint of the reference, which has the yaw to follow.
-        tilt_acceleration : sequence of two floats
-            Accelerations of the commanded roll and pitch [rad/s^2].
-        body : sequence of twelve floats
-            Position, velocity, attitude and body rates of the vehicle, in the order of the names in
-            `MEASURED_STATES`.
-        achieved : sequence of three floats
-            Roll, pitch and yaw moments that the rotors produce at present [N m].
-        states : sequence of 22 floats
-            States of the controller, in the order of the names in `CONTROLLER_STATES`.
-
-        Returns
-        -------
-        moments : list of three floats
-            Commanded roll, pitch and yaw moments [N m].
-        rates : list of nine floats
-            Time derivatives of the attitude loop's states.
+        `tilt_acceleration` is that of the commanded roll and pitch. `achieved` are the present
+        moments.
         """
         command, attitude, body_rates = states[_COMMAND], body[6:9], body[9:12]
         turning = [
@@ -1044,9 +1002,9 @@ def feedback_law(controller: AdaptiveController, dynamics: Dynamics) -> Law:
     Returns
     -------
     callable
-        Takes the controller's input (see `AdaptiveController.command`), the vehicle's states and
-        the controller's states. Returns the rotor accelerations [rad/s^2] and the time derivatives
-        of the controller's states.
+        (command, states of the vehicle, states of the controller) -> (rotor accelerations
+        [rad/s^2], time derivatives of the controller's states). For the command, see
+        `AdaptiveController.command`.
     """
     body = [list(dynamics.state_names).index(name) for name in MEASURED_STATES]
     rotors = rotor_columns(dynamics)

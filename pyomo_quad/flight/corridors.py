@@ -1,13 +1,11 @@
 """Corridors through a wind field: cheap routes that lie apart, found by a search on a grid.
 
 The cost of a route is its energy plus the price of time [W] times its duration. If the duration of
-the mission is free, the mission states the price. If the duration is fixed, the price is chosen so
-that the cheapest route takes this duration.
+the mission is free, the mission states the price. Otherwise, the price is chosen so that the
+cheapest route has the fixed duration.
 
-Dijkstra's method is used twice: from the start and from the goal. The two results together give the
-cheapest route through every grid point. The cheapest of these routes is the first corridor. For
-each further corridor, the grid points near the routes found so far are excluded. See
-docs/theory/routes.md, "Corridors through a wind field".
+Dijkstra's method, from the start and from the goal, gives the cheapest route through every grid
+point. See docs/theory/routes.md, "Corridors through a wind field".
 """
 
 from collections.abc import Callable
@@ -95,14 +93,15 @@ class WindMap:
     def at(self, places: FloatArray, times: FloatArray) -> FloatArray:
         """Return the horizontal wind [m/s] at n places and times in flight, shape (n, 2).
 
-        `places` has shape (n, 3), m, and `times` shape (n,), s. The wind is NaN at places and times
-        for which the field gives no value. If `wind.beyond` is "hold", there is no NaN: outside the
-        field, the wind is that at its edge, and missing values of the field count as zero.
+        `places` has shape (n, 3), m, and `times` shape (n,), s. The wind is NaN where the field
+        gives no value, unless `wind.beyond` is "hold".
         """
         grid, when = self._grid, times + self._offset
         columns = [*places[:, :2].T]
         columns += [places[:, 2]] if grid.z else []
         columns += [when] if grid.times else []
+        # With "hold", the wind outside the field is that at its edge, and missing values of the
+        # field are the nearest known wind.
         held = [np.clip(c, axis[0], axis[-1]) for c, axis in zip(columns, grid.axes, strict=True)]
         wind = self._scale * self._read(np.column_stack(held))
         if not self._is_held:
@@ -128,8 +127,8 @@ class LineCosts:
     ends : ndarray, shape (2, 3)
         Start and end of the leg [m].
     duration : float
-        Duration of the leg, or a guess if the duration is free [s]. The wind at a place is taken at
-        the time at which a flight of this duration at constant speed passes there.
+        Duration of the leg, or a guess if the duration is free [s]. It determines when a flight
+        passes a place.
     fastest : float
         Largest ground speed that the scenario allows [m/s], infinite without such a limit.
     """
@@ -138,6 +137,7 @@ class LineCosts:
     wind: WindMap
     power: Callable[[FloatArray], FloatArray]
     ends: FloatArray
+    # The wind at a place is taken at the time at which a flight at constant speed passes there.
     duration: float
     fastest: float
 
@@ -156,8 +156,8 @@ class LineCosts:
         Returns
         -------
         costs : ndarray, shape (n,)
-            Costs [J]. They are infinite if a keep-out zone or the fence blocks a line, if the wind
-            on it is unknown, or if no ground speed allows steady flight.
+            Costs [J]. They are infinite for a blocked line, for unknown wind, or if no ground speed
+            allows steady flight.
         times : ndarray, shape (n,)
             Times [s], meaningless if the cost is infinite.
         """
@@ -182,7 +182,7 @@ class LineCosts:
     def _passed(self, places: FloatArray) -> FloatArray:
         """Return the time at which a flight along the leg at constant speed passes n places [s].
 
-        A place beside the leg counts as the nearest point of the leg. `places` has shape (n, 3), m.
+        A place beside the leg counts as the nearest point of the leg.
         """
         way = self.ends[1] - self.ends[0]
         share = (places - self.ends[0]) @ way / max(way @ way, 1.0)
@@ -249,9 +249,8 @@ def corridor_journeys(
     Returns
     -------
     tuple of Journey
-        The cheapest combinations of corridors, at most four, in the order of increasing energy, and
-        then `shortest`. Each route has its estimated energy, or None if that is unknown. A leg
-        without a corridor keeps its route from `shortest`.
+        At most four journeys in the order of increasing energy, and then `shortest`. Each route has
+        its estimated energy, or None if that is unknown.
     """
     power = steady_power(steady)
     shares = np.array([max(route.length, 1e-9) for route in shortest])
@@ -260,6 +259,7 @@ def corridor_journeys(
     straight = []
     for route, duration in zip(shortest, durations.tolist(), strict=True):
         corridors = Corridors(told, power, route.places[[0, -1]], duration)
+        # A leg without a corridor keeps its route from `shortest`.
         found.append(corridors.routes() or [route])
         straight.append(replace(route, estimate_J=corridors.energy_of(route.places)))
     journeys = sorted(product(*found), key=lambda j: estimate_of(j) or inf)[:_MOST_CORRIDORS]
@@ -342,27 +342,12 @@ class Corridors:
 def _grid(
     told: Scenario, ends: FloatArray
 ) -> tuple[FloatArray, NDArray[np.intp], NDArray[np.intp]]:
-    """Return the points of the search grid about a leg, and the lines that join them.
+    """Return the points of the search grid about a leg, and first and last point of each line.
 
-    Seen from above, the grid is a rectangle. A grid point has the height of the horizontally
-    nearest point of the leg. Lines through keep-out zones are included.
-
-    Parameters
-    ----------
-    told : Scenario
-        The mission in its forecast wind, which must be a wind field.
-    ends : ndarray, shape (2, 3)
-        Start and goal of the leg [m].
-
-    Returns
-    -------
-    places : ndarray, shape (n, 3)
-        Start, goal, and then the points of the grid [m]; n is their total number.
-    first, last : ndarray of int, shape (n_lines,)
-        Row in `places` of the start and of the end of each line. Each line is included twice, once
-        for each direction of flight: with wind, the two directions differ in cost.
+    The start and the goal are the first two points. Points have shape (n, 3), in m.
     """
     margin = _MARGIN * float(np.linalg.norm(ends[1] - ends[0]))
+    # Seen from above, the grid is a rectangle.
     low, high = ends[:, :2].min(axis=0) - margin, ends[:, :2].max(axis=0) + margin
     grid = told.wind.grid
     if grid is not None and told.wind.beyond is not Beyond.HOLD:
@@ -373,6 +358,7 @@ def _grid(
     axes = [b + step * np.arange(n) for b, n in zip(low, counts, strict=True)]
     flat = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
     way = ends[1] - ends[0]
+    # A grid point has the height of the horizontally nearest point of the leg.
     share = (flat - ends[0, :2]) @ way[:2] / max(float(way[:2] @ way[:2]), 1e-9)
     heights = ends[0, 2] + np.clip(share, 0.0, 1.0) * way[2]
     places = np.vstack([ends, np.column_stack([flat, heights])])
@@ -398,19 +384,9 @@ def _price_of(
     last: NDArray[np.intp],
     duration: float,
 ) -> float:
-    """Return the price of time [W] at which the cheapest route takes a given duration.
+    """Return the price of time [W] at which the cheapest route takes a given duration [s].
 
-    The cost of a route is its energy plus the price times its duration. The price is found by
-    bisection.
-
-    Parameters
-    ----------
-    costs : LineCosts
-        Costs and times of straight lines.
-    places, first, last : ndarray
-        Points and lines of the search grid, as `_grid` returns them.
-    duration : float
-        The given duration [s].
+    `places`, `first` and `last` are the search grid, as `_grid` returns it.
     """
     hover = float(costs.power(np.zeros(1))[0])
     low, high = -0.95 * hover, 20.0 * hover
@@ -424,17 +400,8 @@ def _price_of(
 class _Search:
     """Search for the cheapest routes from start to goal through each point of a grid.
 
-    The cost of a route is its energy plus the price of time times its duration. Two runs of
-    Dijkstra's algorithm, from the start and from the goal, give the costs of all routes.
-
-    Parameters
-    ----------
-    costs : LineCosts
-        Costs and times of straight lines.
-    places, first, last : ndarray
-        Points and lines of the grid, as `_grid` returns them.
-    price : float
-        Price of time [W].
+    The arguments `places`, `first` and `last` are results of `_grid`. `price` is the price of time
+    [W].
     """
 
     def __init__(
@@ -463,9 +430,8 @@ class _Search:
     def corridors(self, separation: float) -> list[FloatArray]:
         """Return the corridors: cheap routes that lie apart, the cheapest first.
 
-        A route lies apart from the routes found before if, for each of them, one of its corners is
-        at least `separation` [m] away. There are at most four corridors, at most about 3 % dearer
-        than the cheapest. Each route is an array of its corners [m], shape (n, 3).
+        Each is an array of corners [m], shape (n, 3). Some corner is at least `separation` [m] away
+        from each route found before.
         """
         through = self._ahead + self._back
         most = (1.0 + _DEARER) * through[1]
@@ -477,6 +443,7 @@ class _Search:
             if not np.isfinite(open_costs[node]) or open_costs[node] > most:
                 break
             raw = self._places[self._through(node)]
+            # For each further corridor, grid points near the routes found so far are excluded.
             is_near |= _distance(self._places, raw) < separation
             drawn = self._without_needless_corners(raw)
             if all(_distance(drawn, other).max() >= separation for _, other in found):
@@ -486,10 +453,9 @@ class _Search:
         return [places for _, places in found]
 
     def _through(self, node: int) -> list[int]:
-        """Return the indices of the points along the cheapest route through one grid point.
+        """Return the indices of the points along the cheapest route through a grid point.
 
-        `node` is the index of the grid point. The result is empty if no route leads through the
-        grid point.
+        The result is empty if there is no such route.
         """
         if not np.isfinite(self._ahead[node] + self._back[node]):
             return []
@@ -504,10 +470,9 @@ class _Search:
         return float(self._costs.of(places[:-1], places[1:], self._price)[0].sum())
 
     def _without_needless_corners(self, places: FloatArray) -> FloatArray:
-        """Return a route without needless corners.
+        """Return a route, an array of corners [m], without needless corners.
 
-        Corners are needless if a straight line that leaves them out costs no more. `places` has the
-        corners of the route, shape (n, 3) [m]. The result has the remaining corners, shape (m, 3).
+        A corner is needless if a straight line that leaves it out costs no more.
         """
         kept = [0]
         while kept[-1] < len(places) - 1:
@@ -522,10 +487,9 @@ class _Search:
 
 
 def _distance(places: FloatArray, route: FloatArray) -> FloatArray:
-    """Return the distances of n places from a route of straight lines, shape (n,) [m].
+    """Return the distances [m] of n places from a route of straight lines, shape (n,).
 
-    `places` has the places, shape (n, 3). `route` has the corners of the route, shape (m, 3). Both
-    are in m.
+    `route` has the corners of the route.
     """
     starts, way = route[:-1], np.diff(route, axis=0)
     lengths = np.maximum(np.sum(way**2, axis=1), np.finfo(float).tiny)

@@ -89,8 +89,8 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     Parameters
     ----------
     scenario : Scenario
-        The mission with fixed times. Its field `wind.turbulence` defines the turbulence. It also
-        states the standard deviations of the errors of wind forecast, mass and power.
+        The mission with fixed times. It states the turbulence, and standard deviations of the
+        errors of wind forecast, mass and power.
     plan : Plan
         Plan that the adaptive controller follows.
     planner : Planner
@@ -99,8 +99,8 @@ def spread_along(scenario: Scenario, plan: Plan, planner: Planner) -> Spread:
     Returns
     -------
     Spread
-        Distribution at equally spaced times from start to end of the flight. The spacing is at most
-        `NOISE_STEP` [s], the time step over which the noise of the turbulence is constant.
+        Distribution at equally spaced times, at most `NOISE_STEP` [s] apart. This is the time step
+        over which the noise is constant.
     """
     mean = _MeanFlight(scenario, plan, planner)
     count = ceil(scenario.mission.fixed_duration / NOISE_STEP)
@@ -205,17 +205,7 @@ def without_overflow(covariance: FloatArray, onward: FloatArray) -> tuple[FloatA
 class _MeanFlight:
     """Flight of a plan under feedback without gusts, and the closed loop linearised along it.
 
-    The joint state of the closed loop holds the states of the vehicle, the turbulence filters and
-    the controller, and the energy.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission with its turbulence and uncertain parameters.
-    plan : Plan
-        Plan that the adaptive controller follows.
-    planner : Planner
-        Planner that compiles the equations.
+    A joint state has the states of vehicle, turbulence filters and controller, and the energy.
     """
 
     def __init__(self, scenario: Scenario, plan: Plan, planner: Planner) -> None:
@@ -243,8 +233,7 @@ class _MeanFlight:
     def flown(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the joint states and the commands to the controller at n given times [s].
 
-        The joint states have shape (n, n_joint). A command is the controller's input, such as the
-        position to follow; the commands have shape (n, COMMAND_SIZE).
+        They have the shapes (n, n_joint) and (n, COMMAND_SIZE).
         """
         flight = fly(
             dynamics=self.dynamics,
@@ -262,38 +251,21 @@ class _MeanFlight:
     def slopes(
         self, t: FloatArray, joint: FloatArray, commands: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the closed loop along the flight without gusts.
+        """Return the derivatives of the joint state's rates by joint state and random inputs.
 
-        The Jacobians are derivatives of the rates of the joint state. The joint state holds the
-        states of vehicle, turbulence filters and controller, and the energy.
-
-        Parameters
-        ----------
-        t : ndarray, shape (n,)
-            Times [s].
-        joint, commands : ndarray
-            Joint states and commands to the controller at these times, as the method `flown`
-            returns them.
-
-        Returns
-        -------
-        ndarray, shape (n, n_joint, n_joint)
-            Derivatives with respect to the joint state.
-        ndarray, shape (n, n_joint, n_noise + n_parameters)
-            Derivatives with respect to the white noise, then to the uncertain parameters. The
-            derivatives with respect to a parameter are per standard deviation of the parameter.
+        The shapes are (n, n_joint, n_joint) and (n, n_joint, n_noise + n_parameters).
         """
         # Where an error is exactly zero, the derivative of its norm is not defined.
         by_moment, by_joint = self.loop.slopes(t, joint + _OFF_NOUGHT, commands)
         columns = [1 + self.dynamics.signal_names.index(name) for name in NOISE]
         by_unknowns = self._by_unknowns(t, joint, commands)
+        # White noise first, then the parameters, per standard deviation of each.
         return by_joint, np.concatenate([by_moment[:, :, columns], by_unknowns], axis=2)
 
     def _by_unknowns(self, t: FloatArray, joint: FloatArray, commands: FloatArray) -> FloatArray:
         """Return the derivatives of the joint state's rates by the uncertain parameters.
 
-        They are central differences, per standard deviation of each parameter. The result has shape
-        (n, n_joint, n_parameters). The arguments are those of the method `slopes`.
+        They are per standard deviation of a parameter, shape (n, n_joint, n_parameters).
         """
         n_states = len(self.dynamics.state_names)
         states, controls = joint[:, :n_states], self.loop.controls(t, joint, commands)
@@ -311,23 +283,9 @@ class _MeanFlight:
         states: FloatArray,
         controls: FloatArray,
     ) -> FloatArray:
-        """Return the time derivatives of the vehicle's states for changed parameters.
+        """Return the rates of the vehicle's states for changed parameters, shape (n, n_states).
 
-        Parameters
-        ----------
-        change : dict
-            Full name of a parameter -> size of its change, in the parameter's unit.
-        side : float
-            Sign of all changes, 1 or -1.
-        t : ndarray, shape (n,)
-            Times [s].
-        states, controls : ndarray, shapes (n, n_states), (n, n_controls)
-            The vehicle's states and controls at these times.
-
-        Returns
-        -------
-        ndarray, shape (n, n_states)
-            Time derivatives of the states.
+        `side`, 1 or -1, is the sign of all changes, which are in the units of the parameters.
         """
         changed = {name: self._numbers.get(name, 0.0) + side * by for name, by in change.items()}
         numbers = self._numbers | changed

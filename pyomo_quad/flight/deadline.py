@@ -30,8 +30,7 @@ class TimeIsUpError(SolveError):
 class _Watch:
     """Clock that measures the processor time of a thread against a time limit.
 
-    In a forked process, the clock continues with the time left at the fork. The attribute `is_over`
-    states whether the limit had passed at the last call of the method `look`.
+    The attribute `is_over` states whether the limit had passed at the last call of `look`.
     """
 
     limit_s: float
@@ -48,8 +47,7 @@ class _Watch:
     def shortened(self, limit_s: float) -> Self:
         """Return a copy of this clock whose limit passes at most ``limit_s`` seconds from now.
 
-        The seconds are processor time. If the limit of this clock passes earlier, the copy has the
-        same limit.
+        The seconds are processor time.
         """
         now = time.thread_time()
         return replace(self, end=min(self.end, now + limit_s), seen=now, process=os.getpid())
@@ -73,7 +71,7 @@ class Deadline:
 
     A simulation in the block raises `TimeIsUpError`. A solve stops only if the object is its
     progress callback. The time counts from the construction of the object. In nested blocks, the
-    limit of the outermost deadline applies, because a command of the user has a single time limit.
+    limit of the outermost deadline applies.
 
     Parameters
     ----------
@@ -93,6 +91,7 @@ class Deadline:
         progress: Progress | None = None,
         longest_s: float | None = None,
     ) -> None:
+        # A command of the user has a single time limit.
         self._watch = _CURRENT.get() or _Watch.started(scenario.solver.time_limit)
         if longest_s is not None:
             self._watch = self._watch.shortened(longest_s)

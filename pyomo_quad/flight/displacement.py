@@ -1,11 +1,9 @@
 """Displacements that move the path of a coarse solution out of keep-out zones.
 
 Between its collocation points, the path of a coarse solution may cut corners of keep-out zones. A
-vehicle that follows the path under feedback then enters the zones too (`flight.tracking`). If the
-simulated flight has entered a zone, the path is displaced out of it, and the flight is simulated
-again. This is repeated a few times if necessary, and needs no further solve. If a simulation
-confirms the displaced path, the coarse solution becomes a usable plan of lower accuracy than
-requested. See docs/theory/tracking.md, eq. (8).
+vehicle that follows the path under feedback then enters the zones too (`flight.tracking`). The path
+is therefore displaced, and the flight is simulated again. If the simulation confirms it, the coarse
+solution becomes a usable plan of lower accuracy. See docs/theory/tracking.md, eq. (8).
 """
 
 from __future__ import annotations
@@ -121,13 +119,13 @@ def pushes_out(dynamics: Dynamics, flown: Flown, limits: Sequence[LimitValues]) 
     Returns
     -------
     tuple of Push
-        One push for each time span that the flight spends inside a zone. The full displacement
-        lasts for this time span. It has the direction of the shortest way out of the zone, from the
-        place where the flight is deepest inside, and is somewhat longer than this way.
+        One push for each time span that the flight spends inside a zone. It leads the shortest way
+        out, and somewhat beyond the edge.
     """
     found: list[Push] = []
     for name, depth in _depths(limits).items():
         for first, after in spans_where(depth > 0.0):
+            # The shortest way out is taken from the place where the flight is deepest inside.
             deepest = first + int(np.argmax(depth[first:after]))
             slope = _slope(dynamics, flown, deepest, name)
             steepness = float(np.linalg.norm(slope))
@@ -151,11 +149,9 @@ def moves_in_hovers(flown: Flown, limits: Sequence[LimitValues], allowed: float)
 
 
 def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
-    """Return how much the samples of a flight violate each limit of the airspace.
+    """Return how much each sample of a flight violates each limit of the airspace, by limit.
 
-    Limits of the airspace are keep-out zones and other limits on the position. The result maps the
-    name of a limit to its violation at each sample, in the unit of the limit. The violation is
-    negative if the limit is kept.
+    Violations are in the unit of the limit, and negative if the limit is kept.
     """
     return {
         limit.name: np.fmax(limit.lower - limit.values, limit.values - limit.upper)
@@ -165,21 +161,9 @@ def _depths(limits: Sequence[LimitValues]) -> dict[str, FloatArray]:
 
 
 def _slope(dynamics: Dynamics, flown: Flown, sample: int, name: str) -> FloatArray:
-    """Return the gradient of the depth inside a zone with respect to x, y and z, shape (3,).
+    """Return the gradient of the depth inside a zone at one sample, shape (3,).
 
-    The gradient points deeper into the zone. Its unit is the unit of the zone's constraint per
-    metre. It is computed by central differences.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle, with a path constraint for each zone.
-    flown : Flown
-        Samples of a flight.
-    sample : int
-        Index of the sample at whose place the gradient is taken.
-    name : str
-        Name of the zone's constraint.
+    It points deeper into the zone, in the unit of the constraint `name` per metre.
     """
     columns = [dynamics.state_names.index(state) for state in POSITION_STATES]
     rows = np.full(2 * len(columns), sample)

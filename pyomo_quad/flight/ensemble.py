@@ -1,10 +1,8 @@
 """Simultaneous simulation of many flights along one reference, each with random wind and mass.
 
-Control law, equations of the vehicle and assessment of each flight are those of a single flight.
-The assessment checks three things: the limits of the model, the limits at the waypoints, and the
-arrival at the goal. Only the integration differs: all flights together take Runge-Kutta steps of
-fixed length. A step is at most `LONGEST_STEP_S`, the time over which the noise of the turbulence is
-constant. Stability for the fastest mode of the closed loop, and accuracy at high gains of the
+Control law, equations and assessment are those of a single flight; only the integration differs.
+All flights together take Runge-Kutta steps of fixed length. A step is at most `LONGEST_STEP_S`, the
+time over which the noise of the turbulence is constant. Stability, or accuracy at high gains of the
 controller, may require shorter steps. A test compares the result with SciPy's adaptive integration.
 """
 
@@ -79,12 +77,10 @@ class Draws:
     count : int
         Number n of flights.
     numbers : mapping to ndarray, shape (n,)
-        Full name of a parameter -> its values. These parameters of the vehicle and the air are
-        constant during a flight.
+        Full name of a parameter of vehicle or air -> its values, constant during a flight.
     noise : mapping to ndarray, shape (n_steps, n)
-        Full name of a parameter -> its values. These parameters change during a flight, such as the
-        noise of the turbulence. Each row applies for one step of `LONGEST_STEP_S` [s], the first
-        row from the start of the flight.
+        Full name of a parameter -> its values for steps of `LONGEST_STEP_S` [s] from the start of
+        the flight.
     start : mapping to ndarray, shape (n,)
         Full name of a state -> its values at take-off.
     """
@@ -111,15 +107,14 @@ class Ending:
     Attributes
     ----------
     energy_J, charge_used_percent : float
-        Energy spent, and charge drawn in per cent of the battery's capacity; the charge is 0 if the
-        model has no battery.
+        Energy spent [J], and charge drawn in per cent of the battery's capacity (0 without
+        battery).
     miss_m, end_speed_m_per_s : float
         Distance from the goal at the end, and speed at the end.
     largest_deviation_m, peak_tilt_rad : float
         Largest distance from the reference position at the same time, and largest tilt.
     broken : mapping
-        Name of each broken limit in words -> amount; empty if the flight arrived and kept every
-        limit. The amount depends on the kind of limit:
+        Name of each broken limit in words -> amount:
 
         - Arrival: distance from the goal [m] or speed [m/s] at the end.
         - Battery: missing fraction of power or charge.
@@ -136,11 +131,7 @@ class Ending:
 
     @property
     def has_succeeded(self) -> bool:
-        """Whether the simulated flight reached its goal and broke no limit.
-
-        There are limits of the model, limits at waypoints, limits of the battery, and limits on the
-        arrival (distance from the goal and speed at the end).
-        """
+        """Whether the simulated flight reached its goal and broke no limit."""
         return not self.broken
 
     @property
@@ -162,9 +153,8 @@ class FlownOften:
     t : ndarray, shape (n_samples,)
         Times [s].
     tracks : mapping to ndarray, shape (n_samples, n)
-        Name of a quantity -> its values over time for each of n flights. The quantities are
-        position, speed, tilt, energy and distance from the reference. The constant `TRACKS` has
-        their names.
+        Name of a quantity -> its values over time for each of n flights. The constant `TRACKS` has
+        the names.
     endings : tuple of Ending
         Energy, arrival, deviations and broken limits of each flight.
     """
@@ -193,8 +183,7 @@ class EnsembleSimulation:
     reference : callable
         Takes a time [s] and returns the `Setpoint` to follow.
     varied : sequence of str
-        Full names of the model parameters that differ between the flights. A parameter may be
-        constant during a flight or change over time.
+        Full names of the model parameters that differ between the flights, constant or over time.
     """
 
     def __init__(
@@ -305,18 +294,10 @@ class EnsembleSimulation:
     def _endings(
         self, flown: SteppedFlights, draws: Draws, off: FloatArray, tilt: FloatArray
     ) -> Iterator[Ending]:
-        """Yield the result of each of n flights: energy, arrival, deviations, broken limits.
+        """Yield the result of each flight: energy, arrival, deviations, broken limits.
 
-        Parameters
-        ----------
-        flown : SteppedFlights
-            Samples of the simulated flights.
-        draws : Draws
-            Random numbers of each flight.
-        off : ndarray, shape (n,)
-            Largest distance of each flight from the reference [m].
-        tilt : ndarray, shape (n,)
-            Largest tilt of each flight [rad].
+        `off` and `tilt` are largest distance from the reference [m] and largest tilt [rad], shape
+        (n,).
         """
         count, samples = draws.count, len(flown.t)
         # Reorder the arrays: one flight after the other, each with all its samples.
@@ -375,14 +356,13 @@ class EnsembleSimulation:
 def _step_times(scenario: Scenario, fastest_rate: float) -> FloatArray:
     """Return the times of all integration steps of a flight [s].
 
-    They include the times at which the noise of the turbulence changes, and the arrivals and
-    departures at waypoints. The steps are short enough to be stable for a mode with the decay rate
-    `fastest_rate` [1/s].
+    The steps are stable for a mode with the decay rate `fastest_rate` [1/s].
     """
     gains, end = scenario.baseline.gains, scenario.mission.fixed_duration
     fastest = max(gains.rotor, gains.attitude_rate, gains.force_identification)
     parts = ceil(LONGEST_STEP_S * max(fastest / _SHARE_OF_LAG, fastest_rate / _STABLE))
     even = LONGEST_STEP_S / parts * np.arange(ceil(end / LONGEST_STEP_S * parts))
+    # Arrivals and departures at waypoints are ends of steps too.
     given = np.array([*scenario.nominal_times, end])
     apart = np.abs(even[:, None] - given).min(axis=1) > _SAME_TIME_S
     return np.unique(np.concatenate([even[apart], given]))

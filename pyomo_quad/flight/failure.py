@@ -25,9 +25,8 @@ class Failure:
         Least duration within the limits of the mission, from a solve that minimises the duration.
         None if this solve was not made or failed.
     diagnosis : Diagnosis
-        Diagnosis of the failed solve. It has the equations with the largest residuals, the active
-        limits, and a set of limits. The mission becomes feasible if all limits of this set are
-        relaxed together.
+        Diagnosis of the failed solve: the equations with the largest residuals, the active limits,
+        and a set of limits whose joint relaxation makes the mission feasible.
     remedies : tuple of Relaxation
         Single limits whose relaxation alone would make the mission possible.
     doubt : str

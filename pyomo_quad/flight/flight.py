@@ -115,8 +115,8 @@ class Flight(Summarised):
         the time to compile, solve and verify the plan.
     owed_energy_J : float
         Energy needed to get from the flight's final state to the required final state [J],
-        estimated from the costates of a plan. It is NaN without a plan. It is also NaN for a plan
-        made for a forecast wind, whose costates do not hold in the actual wind of the flight.
+        estimated from the costates of a plan. NaN without a plan, or for a plan made for a forecast
+        wind, whose costates do not hold in the actual wind.
     broken_limits : tuple of str
         Every limit that the flight violates by more than the tolerance, in words with the amount.
         The limits of the model (path inequalities and bounds) come first, in order of decreasing
@@ -162,8 +162,8 @@ class Flight(Summarised):
     def priced(self, end_prices: Mapping[str, float]) -> Flight:
         """Return a copy of the flight with an estimate of the energy still needed at its end.
 
-        The estimate is the attribute `owed_energy_J` of the copy: the energy needed to get from the
-        final state to the required final state. It is of first order, from the costates of a plan.
+        The estimate is the attribute `owed_energy_J` of the copy. It is of first order, from the
+        costates of a plan.
 
         Parameters
         ----------

@@ -1,11 +1,10 @@
 """First plan of a mission: a flight along its shortest route, without an optimisation.
 
 The vehicle flies along the lines of the route, smoothed at corners, at most at the speed of least
-cost. A prescribed duration determines the speed instead. Attitude and rotor speeds follow from the
-acceleration of this path (differential flatness). A simulation under feedback turns the path into a
-flight that satisfies the equations of motion. The plan spends more energy than the optimum, but is
-available before the first solve ends. Derivation and sources: docs/theory/geometric_plan.md, eqs.
-(5) to (7).
+cost. A prescribed duration determines the speed instead. A simulation under feedback turns this
+path into a flight that satisfies the equations of motion. The plan spends more energy than the
+optimum, but is available before the first solve ends. See docs/theory/geometric_plan.md, eqs. (5)
+to (7).
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ _ROTOR_SPEED, _ROTOR_ACCELERATION = "rotors.omega[", "rotors.alpha["
 def geometric_plan(mission: MissionProblem) -> Plan | None:
     """Return a plan along the shortest route of a mission, made without an optimisation.
 
-    Paths that differ in speed or acceleration are simulated under feedback, until a simulation
+    Paths of different speeds and accelerations are simulated under feedback, until a simulation
     confirms one of them. At most three paths are simulated. The tolerances are wide: a flight may
     end half a metre from the goal.
 
@@ -86,9 +85,10 @@ def geometric_plan(mission: MissionProblem) -> Plan | None:
     Returns
     -------
     Plan or None
-        The plan that was simulated last, confirmed or not; its attribute `verification` tells. The
-        error estimate of the plan is the relative difference between its energy and the energy of
-        steady flight along the route. The result is None in each of these cases:
+        The plan that a simulation confirms, or else the plan that was simulated last. The attribute
+        `verification` has the result of the simulation. The error estimate is the relative
+        difference between the energy and that of steady flight along the route. The result is None
+        in each of these cases:
 
         - There is no route, or no steady flight along it.
         - No path of an allowed duration keeps the limits.
@@ -148,25 +148,8 @@ def _first_usable(
 ) -> Plan | None:
     """Return the first plan along a journey that a simulation confirms as usable.
 
-    The simulated flight of a usable plan reaches the goal and keeps the limits, to wide tolerances.
-    At most three paths are simulated.
-
-    Parameters
-    ----------
-    mission : MissionProblem
-        The mission, with its compiled equations.
-    journey : Journey
-        The journey.
-    fastest : float
-        Greatest speed of a path [m/s].
-    least_energy : float
-        Energy of steady flight along the journey [J]. The energy of each plan is compared with it.
-
-    Returns
-    -------
-    Plan or None
-        The confirmed plan. If no plan is confirmed, the plan that was simulated last, or None if no
-        path was simulated.
+    `fastest` is in m/s, `least_energy` in J. If no plan is confirmed, the result is the plan
+    simulated last, or None.
     """
     found: Plan | None = None
     flown, is_free = 0, mission.told.mission.is_free
@@ -195,9 +178,7 @@ def _first_usable(
 def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> SmoothPath | None:
     """Return a smooth path along a journey, whose duration the mission allows.
 
-    `pace` has the greatest speed and the greatest accelerations. If the mission does not allow the
-    resulting duration, the nearest allowed duration determines the speed, up to `fastest` [m/s].
-    The result is None if the path cannot be flown in an allowed duration.
+    `fastest` is the greatest speed [m/s]. The result is None if no allowed duration is long enough.
     """
     stops, mission = _stops(told, journey), told.mission
     least, greatest = mission.duration_limits
@@ -213,8 +194,7 @@ def _path(told: Scenario, journey: Journey, pace: Pace, fastest: float) -> Smoot
 def _stops(told: Scenario, journey: Journey) -> list[Stop]:
     """Return start, corners and goal of a journey, in the order of the flight.
 
-    Corners are the waypoints and the places at which a route changes its direction. The stop at a
-    waypoint has its speed limit and its duration of hover.
+    Corners are the waypoints, with their hovers and speed limits, and the bends of the routes.
     """
     stops = [Stop(place=journey[0].places[0])]
     for k, route in enumerate(journey):
@@ -232,8 +212,7 @@ def _stops(told: Scenario, journey: Journey) -> list[Stop]:
 def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
     """Return the greatest speed of a path along a journey [m/s].
 
-    It is somewhat below the mission's speed limit, or 30 m/s if there is no speed limit. If the
-    duration is free, it is at most the speed of least cost along the longest leg.
+    If the duration is free, it is at most the speed of least cost along the longest leg.
     """
     limit = told.limits.speed_max
     greatest = _FASTEST if limit is None else _SHARE_OF_LIMIT * limit
@@ -246,10 +225,10 @@ def _fastest(told: Scenario, journey: Journey, steady: SteadyFlight) -> float:
 
 
 def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple[Plan, Solution]:
-    """Return a plan that follows a path exactly, and an unsolved solution with the path's times.
+    """Return a plan that follows a path exactly, and the solution with which to verify it.
 
-    The plan is not simulated yet. The solution is only the initial point of a solve. It holds the
-    equations of the vehicle for the plan's simulation, and is an argument of `verified`.
+    The solution is only the initial point of a solve: it has the equations and the times of the
+    path.
     """
     told = mission.told
     ends = np.cumsum([len(route.places) - 1 for route in journey])[:-1]
@@ -274,8 +253,7 @@ def _along(mission: MissionProblem, journey: Journey, path: SmoothPath) -> tuple
 def _broken(plan: Plan) -> tuple[Violation, ...]:
     """Return the limits that a planned path violates too much to be worth a simulation.
 
-    A limit of the airspace, such as a zone, may be violated by 0.1 m. Another limit may be violated
-    by the error of interpolation: 1e-3 of the larger of 1 and the limit.
+    The tolerance is 0.1 m for limits of the airspace, and a relative 1e-3 for all others.
     """
     path = path_of(plan, Accuracy.QUICK)
     found = plan.dynamics.violations(path.t, path.states, path.controls)
@@ -292,19 +270,14 @@ def _broken(plan: Plan) -> tuple[Violation, ...]:
 def _energy_of_steady_flight(mission: MissionProblem, journey: Journey, fastest: float) -> float:
     """Return the energy of steady flight along a journey [J], an estimate of the least energy.
 
-    If the duration is free, the speed is `fastest` [m/s]. Otherwise, it is the mean speed. The
-    result includes the energy of hovering at waypoints. Implements docs/theory/geometric_plan.md,
-    eq. (7).
-
-    Raises
-    ------
-    SolveError
-        If the vehicle has no steady flight at the speed.
+    Implements docs/theory/geometric_plan.md, eq. (7). Raises a SolveError if the vehicle has no
+    steady flight at the speed.
     """
     steady, told = mission.steady, mission.told.mission
     steps = [step for route in journey for step in np.diff(route.places, axis=0)]
     lengths = [float(np.linalg.norm(step)) for step in steps]
     holds = sum(waypoint.hold for waypoint in told.waypoints)
+    # With a prescribed duration, the speed is the mean speed between the hovers.
     speed = fastest
     if not told.is_free:
         speed = sum(lengths) / max(told.fixed_duration - holds, _SAME_S)
@@ -322,24 +295,7 @@ def _flat(
 ) -> Trajectories:
     """Return states and controls of a vehicle on a path, by differential flatness.
 
-    All rotors have the same speed. The moments that turn the vehicle are neglected. Implements
-    docs/theory/geometric_plan.md, eqs. (5) and (6).
-
-    Parameters
-    ----------
-    told : Scenario
-        The mission; its headings at start and goal determine the yaw angle.
-    dynamics : Dynamics
-        Equations of the vehicle.
-    steady : SteadyFlight
-        Calculator of steady flight, which gives the state of the vehicle in hover.
-    path : SmoothPath
-        The path.
-
-    Returns
-    -------
-    Trajectories
-        States and controls. Costates and energies are zero.
+    Implements docs/theory/geometric_plan.md, eqs. (5) and (6). Costates and energies are zero.
     """
     names, mesh = dynamics.state_names, _mesh(path)
     times = path.duration * mesh.node_fractions
@@ -352,8 +308,8 @@ def _flat(
     yaw = _headings(told, path, times)
     upright = states.copy()
     upright[:, [*rotors, column[ROLL], column[PITCH]]] = 0.0
-    # Acceleration that weight and air alone would cause. The thrust adds the rest; feedback adds
-    # moments in the simulation.
+    # Acceleration that weight and air alone would cause. The thrust adds the rest. All rotors have
+    # the same speed: moments are neglected here, and feedback adds them in the simulation.
     falling = _acceleration(dynamics, times, upright)
     needed = acceleration - falling
     size = np.linalg.norm(needed, axis=1)
@@ -393,10 +349,9 @@ def _flat(
 
 
 def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> FloatArray:
-    """Return the acceleration of the vehicle at n times [m/s^2], shape (n, 3).
+    """Return the acceleration of the vehicle with zero controls at n times [m/s^2], shape (n, 3).
 
-    The columns are along world x, y and z. `times` are in s, and `states` has shape (n, n_states).
-    All controls are taken as zero.
+    The columns are along world x, y and z.
     """
     none = np.zeros(len(dynamics.control_names))
     rows = zip(times.tolist(), states, strict=True)
@@ -405,10 +360,7 @@ def _acceleration(dynamics: Dynamics, times: FloatArray, states: FloatArray) -> 
 
 
 def _mesh(path: SmoothPath) -> Mesh:
-    """Return a mesh with an element boundary at each time at which a path passes a corner.
-
-    Both the start and the end of a hover are boundaries. Elements are at most 0.4 s long.
-    """
+    """Return a mesh with element boundaries at a path's corners and at the ends of its hovers."""
     passed = [0.0, path.duration, *(t for pair in path.passings for t in pair)]
     hovered = [t for pair in path.passings for t in pair if pair[1] > pair[0]]
     passed += [t + after for t in hovered for after in _AFTER_RELEASE_S]
@@ -425,8 +377,7 @@ def _mesh(path: SmoothPath) -> Mesh:
 def _headings(told: Scenario, path: SmoothPath, times: FloatArray) -> FloatArray:
     """Return the yaw angle at n times of a path [rad], shape (n,).
 
-    It changes smoothly from the heading at the start of the mission to the heading at its goal. The
-    yaw rate is zero at both ends.
+    It changes smoothly from the mission's initial to its final heading, from rest to rest.
     """
     first, last = told.mission.start.yaw, told.mission.goal.yaw
     return first + (last - first) * quintic_progress(times / path.duration)

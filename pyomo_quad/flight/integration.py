@@ -94,11 +94,9 @@ def integrate(
 
 
 def _within(rates: Rates, first: float, last: float) -> Rates:
-    """Return a right-hand side that clips its time to the inside of an interval.
-
-    `rates` may jump at `first` and `last` [s], the ends of the interval. The result has no jump
-    there, so that an integrator need not shorten its steps.
-    """
+    """Return a right-hand side that clips its time to the inside of the interval [first, last]."""
+    # The rates may jump at the ends of the interval. Without these jumps, an integrator need not
+    # shorten its steps.
     margin = _INSIDE * (last - first)
 
     def inside(t: float, y: FloatArray) -> FloatArray:

@@ -47,8 +47,8 @@ def shortest_flight(
 ) -> Solution | None:
     """Solve for the least duration in which a mission is possible.
 
-    The mesh is refined to the mission's tolerance only if the result is close to the prescribed
-    duration.
+    A first solve uses at most three meshes. If its result is close to the prescribed duration, a
+    second solve refines the mesh to the mission's tolerance.
 
     Parameters
     ----------
@@ -59,15 +59,14 @@ def shortest_flight(
     progress : callable or None
         Called at each Ipopt iteration; returning False stops the solve.
     is_exact : bool, optional
-        Whether the least duration is itself the wanted result. If true, the mesh is always refined
-        to the tolerance `_TIME_TOLERANCE` on the relative error.
+        Whether the least duration is itself the wanted result. If true, there is only one solve,
+        which refines the mesh to the relative error `_TIME_TOLERANCE`.
 
     Returns
     -------
     Solution or None
-        Solution whose objective is the least duration [s]. If only the solve with refinement to the
-        mission's tolerance failed, it is the solution on the first meshes. None if the first solve
-        failed or was stopped.
+        Solution whose objective is the least duration [s]. If only the second solve fails, it is
+        the solution of the first. None if the first solve fails or is stopped.
 
     Raises
     ------
@@ -120,9 +119,9 @@ def declared_free_times(model: Any, scenario: Scenario) -> dict[float, Any]:
     Returns
     -------
     dict
-        Nominal value of each free time [s] -> the Pyomo variable of this time. The nominal value is
-        the scenario's value or estimate of the time. It is a point of the model's `ContinuousSet`
-        of times, and the conditions for the free time are declared at this point.
+        Nominal value of each free time [s] -> Pyomo variable of this time. The nominal value is the
+        scenario's value or estimate, and a point of the model's `ContinuousSet` of times. The
+        constraints at a free time are declared at its nominal value.
 
     Raises
     ------
@@ -158,8 +157,8 @@ class Approach:
         Solves a scenario of fixed duration and returns a plan. Its arguments are the scenario, a
         solution to start from or None, and `search`.
     search : Search
-        Progress callback of the solves. It counts the mesh points of all iterations, and stops a
-        solve whose count exceeds a limit.
+        Progress callback of the solves. It measures the cost of a solve, and stops a solve that
+        costs too much.
     plans : list of Plan
         Plans made so far, in order of decreasing duration.
     """
@@ -193,9 +192,8 @@ class Approach:
     def fly(self, lasting: float) -> str:
         """Solve the mission for a duration of ``lasting`` [s], and append the plan to `plans`.
 
-        The solve starts from the previous plan; the first solve starts from the solution of least
-        duration. A later solve is stopped if its effort exceeds three times that of the cheapest
-        solve before.
+        The solve starts from the previous plan, the first from the solution of least duration. It
+        is stopped if its `Search.effort` exceeds three times that of the cheapest solve before.
 
         Returns
         -------

@@ -67,9 +67,8 @@ def limit_words(name: str) -> str:
 def limit_amount(name: str, size: float, unit: str) -> tuple[float, str]:
     """Convert the value of a limit from the unit of the model to the unit printed in reports.
 
-    A squared speed or distance becomes the speed or distance itself. `name`, `size` and `unit` are
-    name, value and unit in the model. If the model is a user's own, value and unit are returned
-    unchanged.
+    A squared speed or distance becomes the speed or distance itself. Values of a user's own model
+    are returned unchanged. `name`, `size` and `unit` are name, value and unit in the model.
 
     Returns
     -------

@@ -1,10 +1,10 @@
 """Initial guess and meshes for a long, straight flight that accelerates, cruises and brakes.
 
-A vehicle changes its attitude within a second, however long the flight is. In a long flight, equal
-elements would be too long to resolve such a change. Therefore the mesh has short elements at both
-ends, and the length of the elements grows towards the middle. The cruise speed of the guess follows
-from the duration. If the duration is free, the guess has the speed of least cost per metre, or a
-higher speed if the greatest allowed duration requires it.
+A vehicle changes its attitude within a second, which equal elements of a long flight would not
+resolve. The elements are therefore short at both ends, and grow towards the middle.
+
+The cruise speed of the guess follows from the duration. If the duration is free, it is the speed of
+least cost per metre, or a higher speed if the greatest allowed duration requires it.
 """
 
 from __future__ import annotations
@@ -73,16 +73,8 @@ def fine_mesh(duration: float, degree: int) -> Mesh:
 def _graded(duration: float, shortest: float, growth: float, degree: int) -> Mesh:
     """Return a mesh whose elements grow by a constant factor from both ends towards the middle.
 
-    Parameters
-    ----------
-    duration : float
-        Duration of the flight [s].
-    shortest : float
-        Length of the first and the last element [s].
-    growth : float
-        Ratio of the lengths of two neighbouring elements.
-    degree : int
-        Polynomial degree of short elements; long elements have a higher degree.
+    `shortest` [s] is the length of the first and last element, `growth` the factor, and `degree`
+    the degree of short elements.
     """
     widths = [shortest]
     while 2 * sum(widths) < duration:
@@ -106,10 +98,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
     Returns
     -------
     dict or None
-        Initial guess. The names of states map to samples, shape (n,), and "time" to the times of
-        the samples [s]. If the duration is free, "time" has the times as fractions of the duration,
-        and "duration" maps to the duration [s]. None if start and goal coincide, or if there is no
-        hover or no steady flight at the cruise speed.
+        State name -> samples, shape (n,); "time" -> times of the samples [s]. If the duration is
+        free, "time" has fractions of the duration instead, and "duration" has the duration [s].
+        None if start and goal coincide, or if there is no hover or no steady flight at the cruise
+        speed.
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  few flights are long
 
@@ -154,10 +146,10 @@ def guess_of(scenario: Scenario, steady: SteadyFlight) -> dict[str, Any] | None:
 def _over_the_ground(
     airspace: Airspace, guess: dict[str, Any], when: FloatArray
 ) -> dict[str, FloatArray]:
-    """Return height and climb rate of an initial guess that is raised above the terrain.
+    """Return height and climb rate of an initial guess, raised above the terrain.
 
-    `guess` maps state names to samples at the times `when` [s]. If the airspace has no terrain or
-    no floor (least height above the ground), the result is empty.
+    `when` has the times of the samples [s]. The result is empty without terrain or floor (least
+    height above the ground).
     """
     places = np.column_stack([guess[name] for name in POSITION_STATES])
     if airspace.ground is None or airspace.floor is None:
@@ -177,12 +169,12 @@ def _columns(
 def _speed_for(distance: float, duration: float) -> float:
     """Return the cruise speed [m/s] of a flight over a distance [m] in a duration [s].
 
-    The flight starts and ends at rest, with the acceleration a = `_ACCELERATION` and limited jerk.
-    If the duration T is too short for the distance, the result is only a rough guess, a (T - 0.5) /
-    2. It is then negative for T < 0.5 s.
+    The flight starts and ends at rest. It has the acceleration `_ACCELERATION` and the jerk
+    `_JERK`.
     """
     # Acceleration and braking take speed / acceleration longer than cruise, plus the time of the
-    # jerk phases.
+    # jerk phases. If the duration T is too short for the distance, the result is a rough guess,
+    # a (T - 0.5) / 2, which is negative for T < 0.5 s.
     left = duration - _ACCELERATION / _JERK
     room = left**2 - 4 * distance / _ACCELERATION
     return _ACCELERATION / 2 * (left - sqrt(max(room, 0.0)))

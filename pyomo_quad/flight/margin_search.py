@@ -1,11 +1,11 @@
 """Search for the margins with which flights of a plan in turbulence keep an allowed risk.
 
 The risk is the probability that a flight in turbulence breaks any limit. A margin is the amount by
-which a limit is tightened for the plan. The margins are found by iteration: the covariance of
-flights about a plan gives margins, and a new plan is solved with them on the same mesh.
+which a limit is tightened for the plan. The covariance of flights about a plan gives the
+margins of the next plan.
 
-The last plan is refined, verified and tested by simulated flights. Limits that they break too often
-get larger margins, and the test is repeated. See docs/theory/risk.md, eqs. (7) to (9).
+Simulated flights test the refined plan. Limits that they break too often get larger margins. See
+docs/theory/risk.md, eqs. (7) to (9).
 """
 
 from collections import Counter
@@ -111,24 +111,8 @@ def _again(
 ) -> Plan:
     """Solve a plan's scenario with tightened limits, warm-started from the plan's solution.
 
-    Parameters
-    ----------
-    planner : Planner
-        Planner that has compiled the problem.
-    plan : Plan
-        Plan from which the solve starts.
-    tight : Scenario
-        The plan's scenario with tightened limits.
-    progress : callable or None
-        Called at each Ipopt iteration.
-    is_rough : bool
-        Whether to solve on the mesh of the plan only, without refinement and verification.
-
-    Returns
-    -------
-    Plan
-        Plan of the tightened scenario. If the warm start of `plan` is missing or does not fit, the
-        scenario is solved anew, with refinement and verification even if `is_rough`.
+    If `is_rough`, the solve uses the mesh of `plan`, without refinement and verification. A plan
+    without a fitting warm start is always solved in full.
     """
     told, start = tight.as_forecast(), plan.warm_start
     with Deadline(told, progress) as deadline:
@@ -151,31 +135,21 @@ def _again(
 class _Tried:
     """Plan with margins, and the predicted statistics of flights in turbulence that follow it.
 
-    Attributes
-    ----------
-    plan : Plan
-        The plan. Its scenario has the original limits, although it was solved with tightened
-        limits.
-    margins : mapping
-        Scenario field -> amount by which its limit was tightened for the plan.
-    spread : Spread
-        Normal distribution of the states of flights about the plan.
-    near : tuple of LimitDistance
-        Statistics of the distance of flights from each limit over time.
-    missed : tuple of Miss
-        For each limit at the goal or at a waypoint: random samples of the limited quantity. The
-        quantity is the distance from the place or the speed there.
-    is_refined : bool
-        True if the mesh was refined for this plan and the plan was simulated, with or without
-        success. If False, the plan has, as a rule, the mesh of the plan from which its solve
-        started.
+    The scenario of `plan` has the original limits. `margins` maps fields to the amounts by which
+    their limits were tightened.
     """
 
     plan: Plan
     margins: Mapping[str, float]
+    # Normal distribution of the states of flights about the plan.
     spread: Spread
+    # Statistics of the distance of flights from each limit over time.
     near: tuple[LimitDistance, ...]
+    # For each limit at the goal or at a waypoint: random samples of the distance from the place, or
+    # of the speed there.
     missed: tuple[Miss, ...]
+    # Whether the mesh was refined for this plan and the plan was simulated, with or without
+    # success.
     is_refined: bool = True
 
     @property
@@ -183,9 +157,9 @@ class _Tried:
         """Upper bound on the probability that a flight along the plan breaks any limit.
 
         It is the sum of the probabilities for the single limits (Boole's inequality), at most 1.
-        The limits on rotor speed and thrust are left out.
         """
-        # The controller clips its commands to the limits on rotor speed and thrust.
+        # The controller clips its commands to the limits on rotor speed and thrust, so that no
+        # flight breaks them.
         by_limits = sum(
             limit.present_probability
             for limit in self.near
@@ -195,10 +169,9 @@ class _Tried:
 
     @property
     def missing_places(self) -> float:
-        """Probability that, at the goal or at a waypoint, a flight breaks a limit without margin.
+        """Probability that a flight breaks a limit without margin at the goal or at a waypoint.
 
-        Such limits are those that no margin can tighten, such as the distance from the goal. The
-        value is the sum of their probabilities.
+        It is the sum over these limits. An example is the limit on the distance from the goal.
         """
         # Every plan already reaches the goal exactly, so that no margin tightens these limits. A
         # plan that leaves the rotors a larger reserve of thrust breaks them less often.
@@ -219,16 +192,8 @@ class _Tried:
 class _Tested:
     """Result of simulated test flights of one plan in turbulence.
 
-    Attributes
-    ----------
-    tried : _Tried
-        The plan with its margins.
-    seed : int
-        Seed of the random winds and parameters.
-    counts : Counter
-        Name of a limit in words -> number of flights that broke it.
-    failed, flown : int
-        Number of flights that broke any limit, and number of all flights.
+    `counts` maps the name of a limit in words to the number of flights that broke it. `failed` is
+    the number of flights that broke any limit.
     """
 
     tried: _Tried
@@ -290,9 +255,9 @@ class MarginSearch:
     def is_beyond_the_controller(self) -> bool:
         """Return whether the controller is too weak for the allowed risk, whatever the margins.
 
-        If flights along the plan without margins are predicted to reach the goal, the result is
-        False. Otherwise vehicles that hover at the goal in gusts are simulated. The controller is
-        too weak if the fraction that the gusts carry away is at least the allowed risk.
+        The result is False if flights along the plan without margins are predicted to reach the
+        goal. Otherwise, vehicles that hover at the goal in gusts are simulated. The result is True
+        if the gusts carry away at least the fraction `risk` of them.
         """
         # Hovers are simulated only if flights along the plan without margins are predicted to miss
         # the goal. Such flights are expected to miss it at least as often as hovering vehicles.
@@ -307,9 +272,8 @@ class MarginSearch:
     def best(self) -> Plan:
         """Return a plan with margins that keeps the allowed risk, or else the plan of least risk.
 
-        The risk is the probability that a flight in turbulence breaks any limit. Margins are the
-        amounts by which limits are tightened for the plan. The plan's attribute `risk` states the
-        result of its test flights.
+        The risk is the probability that a flight in turbulence breaks any limit. The plan's
+        attribute `risk` states the result of its test flights.
         """
         tried = self._settled(self._followed(self._begun))
         found: list[_Tested] = []
@@ -339,11 +303,7 @@ class MarginSearch:
         return self._stated(best.tried, best.counts, best.failed)
 
     def _examined(self, tried: _Tried) -> _Tested:
-        """Test a plan by simulated flights, refine it if worthwhile, and return the last test.
-
-        A plan on a coarse mesh is refined, verified and tested again, unless its flights miss the
-        goal too often.
-        """
+        """Test a plan by simulated flights; refine and retest it if few flights miss the goal."""
         tested = self._tested(tried, self._next_seed())
         missed = max(tested.counts[words] for words in (NOT_THERE, NOT_AT_REST))
         # A refinement takes longer than the test of another plan. If few flights miss the goal, the
@@ -362,8 +322,7 @@ class MarginSearch:
     def _reduced(self, best: _Tested, failed: list[_Tested]) -> _Tested:
         """Reduce margins that cost much energy, if test flights confirm the new plan.
 
-        `best` passed its test, the plans in `failed` did not. The new plan replaces `best` if it is
-        flyable, costs less energy, and at most half of the allowed number of flights fail.
+        `best` is a plan that passed its test; `failed` has the plans that did not.
         """
         low: Mapping[str, float] = failed[-1].tried.margins if failed else {}
         for _ in range(_REDUCTIONS):
@@ -409,19 +368,10 @@ class MarginSearch:
         return replace(plan, risk=taken)
 
     def _stated(self, tried: _Tried, counts: Counter[str], failed: int) -> Plan:
-        """Return a plan with a record of its risk: allowed risk, margins, and results of tests.
+        """Return a plan with a record of its allowed risk, its margins and its test flights.
 
-        The risk is the probability that a flight in turbulence breaks any limit. The tests are
-        simulated flights.
-
-        Parameters
-        ----------
-        tried : _Tried
-            The plan with its margins.
-        counts : Counter
-            Name of a limit in words -> number of test flights that broke it.
-        failed : int
-            Number of test flights that broke any limit.
+        `counts` maps names of limits to numbers of flights that broke them. `failed` is the number
+        of flights that broke any limit.
         """
         is_satisfied = failed <= self._risk * _FLIGHTS
         limiting = tuple(word for word, _ in counts.most_common(3))
@@ -443,8 +393,7 @@ class MarginSearch:
     def _verified(self, tried: _Tried) -> _Tried:
         """Refine the mesh of a plan with margins, and verify the plan by simulation.
 
-        The statistics of flights are predicted again for the refined plan. A flyable plan is also
-        stored for `unfinished`. A plan that has been refined before is returned unchanged.
+        A flyable plan is also stored for `unfinished`.
         """
         if tried.is_refined:
             return tried
@@ -460,9 +409,8 @@ class MarginSearch:
     def _for_original_scenario(self, plan: Plan, margins: Mapping[str, float]) -> Plan:
         """Return a plan made with tightened limits as a plan of the original scenario.
 
-        The returned plan has the original limits. Its passing times are those that flights must
-        keep, see `margins.passing_times`. `margins` maps scenario fields to the amounts by which
-        their limits were tightened.
+        Its passing times are those that flights along the plan must keep, see
+        `margins.passing_times`.
         """
         times = passing_times(self._scenario, plan.passing_times_s, margins.get(HOLD, 0.0))
         return replace(plan, scenario=self._scenario, passing_times_s=times)
@@ -478,19 +426,12 @@ class MarginSearch:
     def _planned(self, last: _Tried, margins: Mapping[str, float]) -> _Tried | None:
         """Solve the scenario with limits tightened by margins, with another plan as initial guess.
 
-        `last` is the other plan. `margins` maps each scenario field to the amount by which its
-        limit is tightened.
-
-        Returns
-        -------
-        _Tried or None
-            The plan with predicted statistics of flights along it; None if the solve fails. As a
-            rule, the plan is on the mesh of `last`. If the mission asks for the least duration, the
-            plan is solved anew, independently of `last`, and its mesh is refined.
+        `last` is the other plan. The result is None if the solve fails.
         """
         held = tightened(self._scenario, margins)
         if self._scenario.mission.aim is Aim.TIME:
-            # The compiled problem of the last plan holds the least duration without margins.
+            # The compiled problem of the last plan holds the least duration without margins. The
+            # plan is therefore solved anew, with refinement of its mesh.
             plan = self._planner.solve(held, progress=self._progress)
         else:
             plan = _again(self._planner, last.plan, held, self._progress, is_rough=True)
@@ -502,9 +443,7 @@ class MarginSearch:
     def _followed(self, tried: _Tried) -> _Tried:
         """Return a plan that leaves the controller enough thrust and tilt to follow it to the goal.
 
-        If `tried` does not, plans with larger reserves of thrust and tilt are solved. The result is
-        the cheapest that `_is_followed` accepts, or else the plan least likely to miss the goal.
-        Later margins are at least those of the result.
+        It is the cheapest such plan that is found, or else the plan least likely to miss the goal.
         """
         if self._is_followed(tried):
             return tried
@@ -539,8 +478,7 @@ class MarginSearch:
     def _missed_by_hover(self) -> float:
         """Fraction of hovering vehicles that gusts carry away from the goal, in a simulation.
 
-        It is expected to be a lower bound on the fraction of flights that miss the goal, for every
-        plan.
+        Flights along any plan are expected to miss the goal at least as often.
         """
         mission = self._in_turbulence.mission
         there = mission.start.model_copy(
@@ -566,10 +504,7 @@ class MarginSearch:
     def _reserve(self, share: float) -> dict[str, float]:
         """Return margins with which a plan leaves a reserve of rotor speed, thrust and tilt.
 
-        Each margin is ``share`` times the largest margin that leaves room for the mission. Tilt
-        also stays within the controller's limit. If the duration is free, at most 0.65 of the
-        largest margin is used, and a margin on the least duration makes the flight longer. The
-        result maps scenario fields to margins.
+        Each margin is ``share`` times the largest margin that leaves room for the mission.
         """
         mission = self._scenario.mission
         part = min(share, _LARGEST_OF_FREE) if mission.is_free else share
@@ -579,7 +514,7 @@ class MarginSearch:
         for name, more in self._steeper_than_the_controller().items():
             margins[name] = max(margins[name], more)
         if mission.is_free:
-            # A slower flight needs less thrust and tilt.
+            # A slower flight needs less thrust and tilt: the least duration gets a margin, too.
             least, greatest = mission.duration_limits
             longer = (1 + _LONGER * share) * self._paper.duration_s
             margins[DURATION] = max(min(longer, greatest) - least, 0.0)
@@ -588,8 +523,7 @@ class MarginSearch:
     def _steeper_than_the_controller(self) -> dict[str, float]:
         """Return the amounts by which roll and pitch limits exceed the controller's limit [rad].
 
-        The result maps scenario fields to the amounts, negative for a limit below the controller's.
-        It is empty if the controller's tilt has no limit.
+        The result is empty if the controller's tilt has no limit.
         """
         limits, most = self._scenario.limits, self._scenario.baseline.gains.tilt_max
         if most is None:
@@ -602,9 +536,7 @@ class MarginSearch:
     def _settled(self, tried: _Tried) -> _Tried:
         """Solve with new margins repeatedly, until the margins agree with the allowed risk.
 
-        The fixed-point iteration starts from the plan `tried` and makes at most three plans. It
-        ends early if the user stops it, if a solve fails, or if flights along a new plan would miss
-        the goal too often. The result is then the plan before.
+        The fixed-point iteration starts from the plan `tried` and makes at most three plans.
         """
         for _ in range(_PLANS):
             # A plan with other margins has another covariance, and so requires other margins.
@@ -623,8 +555,7 @@ class MarginSearch:
     def _margins(self, tried: _Tried) -> dict[str, float]:
         """Return the margins that the allowed risk requires, from predicted statistics of flights.
 
-        `tried` is a plan with these statistics. The result maps each scenario field to its margin;
-        see docs/theory/risk.md, eq. (9).
+        Implements docs/theory/risk.md, eq. (9).
         """
         held = tried.margins
         alone = {a: a.probability(held.get(a.field, 0.0), 0.0) for a in tried.near}
@@ -658,11 +589,7 @@ class MarginSearch:
         return margins
 
     def _agree(self, kept: Mapping[str, float], wanted: Mapping[str, float]) -> bool:
-        """Return whether the margins of a plan are close to the margins that the risk requires.
-
-        `kept` has the margins of the plan, `wanted` the required ones. Both map a scenario field to
-        its margin.
-        """
+        """Return whether the margins of a plan are close to those that the risk requires."""
         for name in {*kept, *wanted}:
             one, other = kept.get(name, 0.0), wanted.get(name, 0.0)
             table, _, key = name.partition(".")
@@ -676,8 +603,7 @@ class MarginSearch:
     def _tested(self, tried: _Tried, seed: int, *, is_whole: bool = False) -> _Tested:
         """Simulate test flights of a plan in turbulence, and count the limits that they break.
 
-        `seed` is for the random winds and parameters. If `is_whole` is False, only a few flights
-        are simulated at first. If too many of these fail for the plan to pass, the test ends.
+        Unless `is_whole`, the test ends after a few flights if too many of them have failed.
         """
         first = slice(0, _FLIGHTS if is_whole else min(_FIRST_FLIGHTS, _FLIGHTS))
         broken = self._flown(tried, seed, first)
@@ -696,20 +622,7 @@ class MarginSearch:
     ) -> list[tuple[str, ...]]:
         """Simulate test flights of a plan in turbulence; return the limits that each flight breaks.
 
-        Parameters
-        ----------
-        tried : _Tried
-            The plan with its margins.
-        seed : int
-            Seed of the random winds and parameters.
-        chosen : slice, optional
-            Indices of the test flights to simulate; all by default.
-
-        Returns
-        -------
-        list of tuple of str
-            For each flight, the names in words of the limits that it breaks; an empty tuple for a
-            flight that keeps all limits.
+        The limits are given by their names in words.
         """
         expected = as_expected(replace(tried.plan, scenario=self._in_turbulence).mission_flown)
         dynamics, draws = draw(self._planner, expected, _FLIGHTS, seed)
@@ -720,8 +633,7 @@ class MarginSearch:
     def _grown(self, tested: _Tested) -> dict[str, float]:
         """Return larger margins for the limits that test flights break too often.
 
-        If such a limit has no margin, or its margin cannot grow, the reserve of thrust and tilt
-        grows, for all later plans too. The result maps each scenario field to its new margin.
+        If the margin of such a limit cannot grow, the reserve of thrust and tilt grows instead.
         """
         tried, counts = tested.tried, tested.counts
         allowed = self._risk * tested.flown / max(len(counts), 1)
@@ -746,7 +658,7 @@ class MarginSearch:
                 margins[name] = min(grown, greatest_margin(self._scenario, name))
         # Some limits have no margin, such as the limit on the distance from the goal at the end.
         # Such a limit, and one whose margin cannot grow, is broken less often by a plan that is
-        # easier to follow in gusts.
+        # easier to follow in gusts. All later plans keep the larger reserve.
         exhausted = [n for n in fields if margins[n] <= tried.margins.get(n, 0.0)]
         missed = max([missed, *(fields[name] for name in exhausted)])
         if missed:
@@ -762,8 +674,7 @@ class MarginSearch:
     def _step_at_waypoints(self, name: str) -> float:
         """Return the least increase of the margin on a waypoint's radius or speed [m or m/s].
 
-        `name` is the scenario field of the margin. The result is a fraction of the smallest limit
-        of the waypoints.
+        `name` is the scenario field of the margin.
         """
         # The predicted covariance is too small for vehicles whose thrust is at its limit.
         waypoints, key = self._scenario.mission.waypoints, name.partition(".")[2]
@@ -772,8 +683,7 @@ class MarginSearch:
     def _advice(self, tried: _Tried, limiting: tuple[str, ...]) -> str:
         """Return advice to the user on how to change the mission so that flights keep its limits.
 
-        `tried` is the plan. `limiting` has the limits that its test flights broke most often, by
-        their names in words. The advice concerns the first of these limits.
+        It concerns the first limit in `limiting`, which test flights broke most often.
         """
         first = limiting[0] if limiting else ""
         if first.startswith(("keep-out", "floor", "ceiling")):
@@ -784,11 +694,7 @@ class MarginSearch:
         return f"{longer}{self._weaker(tried)}"
 
     def _weaker(self, tried: _Tried) -> str:
-        """Return advice to the user: the strength of turbulence in which flights reach the goal.
-
-        The advice is the greatest admissible strength. It is computed from the predicted statistics
-        of flights along the plan `tried`.
-        """
+        """Return as advice the greatest strength of turbulence in which flights reach the goal."""
         allowed = _SHARE_OF_GOAL * self._risk
         places = [miss for miss in tried.missed if not miss.field]
         low, high = 0.0, 1.0
@@ -825,10 +731,9 @@ def _missed_least(tried: _Tried) -> tuple[float, float]:
 
 
 def _planned_at(plan: Plan, spread: Spread) -> tuple[FloatArray, FloatArray]:
-    """Return the planned states and controls at the n times for which a covariance was computed.
+    """Return planned states and controls at the n times for which a covariance was computed.
 
-    Their shapes are (n, n_states) and (n, n_controls). States that the plan lacks, such as those of
-    the turbulence, are zero.
+    States that the plan lacks, such as those of the turbulence, are zero.
     """
     held, dynamics = plan.trajectories, spread.dynamics
     names = list(held.state_names)

@@ -77,8 +77,8 @@ class RiskTaken:
     asked : float
         Largest risk that the scenario allows.
     predicted : float
-        Risk predicted from the covariance of flights, by a linear model; 1 if the search ended
-        without a test.
+        Risk predicted from the covariance of flights, by a linear model. It is 1 if the search
+        ended before any test flight.
     failed, flown : int
         Number of test flights that broke a limit, and number of all test flights. The margins were
         found without these flights.
@@ -91,17 +91,17 @@ class RiskTaken:
     limiting : tuple of str
         The limits that flights break most, in words, the most frequent first.
     least : float
-        Lower bound on the risk of every plan; zero if it was not computed. It is found by a
-        simulation of vehicles that hover at the goal in turbulence. The bound is the fraction of
-        them that end farther from the goal, or faster, than a flight may end.
+        Estimated lower bound on the risk of every plan; zero if it was not computed. It is the
+        fraction of simulated vehicles, hovering at the goal in turbulence, that end farther from
+        the goal, or faster, than a flight may end.
     advice : str
         Possible remedies for the user if the risk cannot be reached.
     stopped : str
         Reason why the search for margins ended early; empty if the search was completed.
     gains : mapping
-        Gains of the controller that the search changed: field of the table ``baseline.gains`` ->
-        its value. Gains are changed if flights with the default gains break limits too often. The
-        mapping is empty if the plan is for the gains of the scenario.
+        Gains of the controller that the search changed, because flights with the default gains
+        break limits too often: field of the table ``baseline.gains`` -> value. Empty if the plan is
+        for the gains of the scenario.
     """
 
     asked: float
@@ -168,9 +168,9 @@ class RiskTaken:
 def tightened(scenario: Scenario, margins: Mapping[str, float]) -> Scenario:
     """Return the scenario with its limits tightened by margins.
 
-    `margins` maps the full name of a scenario field, such as "airspace.floor", to its margin. The
-    margin is the amount by which the limit in this field is tightened, in the unit of the field. A
-    field that is None, without a limit, stays None.
+    `margins` maps the full name of a scenario field, such as "airspace.floor", to the amount by
+    which its limit is tightened, in the unit of the field. A field without a limit (None) stays
+    None.
     """
     told = scenario.mission
     mission: dict[str, Any] = {
@@ -206,8 +206,8 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
     ------
     (str, float)
         Scenario field that sets a bound of the limit, and how much nearer to this bound the flight
-        comes, in the unit of the limit. For an upper bound, the number is the maximum of flown -
-        planned over all times. For a lower bound, it is the maximum of planned - flown.
+        comes. For an upper bound, the number is the maximum of flown - planned over all times. For
+        a lower bound, it is the maximum of planned - flown.
     """
     fields = FIELDS.get(planned.name.partition("[")[0], ("", ""))
     for side, name in zip((1.0, -1.0), fields, strict=True):
@@ -218,8 +218,7 @@ def used_up(planned: LimitValues, flown: LimitValues) -> Iterator[tuple[str, flo
 def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     """Return a waypoint whose limits are tightened by margins.
 
-    Its hover begins earlier and ends at the same time. Of `margins`, the keys `RADIUS` [m], `SPEED`
-    [m/s] and `HOLD` [s] are used. At least 1 cm of the radius and a tenth of the speed remain.
+    Of `margins`, the keys `RADIUS` [m], `SPEED` [m/s] and `HOLD` [s] are used.
     """
     changed: dict[str, float] = {}
     if waypoint.radius:
@@ -228,6 +227,7 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
     if waypoint.speed_max is not None:
         least = _LEFT_OF_SPEED * waypoint.speed_max
         changed["speed_max"] = max(waypoint.speed_max - margins.get(SPEED, 0.0), least)
+    # The hover begins earlier and ends at the same time.
     lead = margins.get(HOLD, 0.0)
     if waypoint.hold and lead:
         changed["hold"] = waypoint.hold + lead
@@ -239,8 +239,8 @@ def _narrowed(waypoint: Waypoint, margins: Mapping[str, float]) -> Waypoint:
 def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> tuple[float, ...]:
     """Return the times at which flights that follow a plan must pass the waypoints.
 
-    With a margin on a hover, the plan arrives earlier than the mission requires. Flights along the
-    plan need not: they must hover only from the time on that the mission requires.
+    With a margin on hovers, the plan reaches hover waypoints earlier than the mission requires, by
+    the time `lead`. Flights along the plan may reach them later by this time.
 
     Parameters
     ----------
@@ -265,10 +265,9 @@ def passing_times(scenario: Scenario, planned: Sequence[float], lead: float) -> 
 def greatest_margin(scenario: Scenario, name: str) -> float:
     """Return the largest margin on a scenario field that leaves room for the mission.
 
-    `name` is the full name of a field that has a limit, such as "airspace.floor". For a field of
-    `limits`, the result is 80 % of the limit. For rotor speed and thrust, it is 80 % of the
-    difference between limit and hover. The mission may become infeasible at smaller margins
-    already.
+    `name` is the full name of a field with a limit, such as "airspace.floor". For rotor speed
+    and thrust, the result is 80 % of the range from hover to the limit. For other fields of
+    `limits`, it is 80 % of the limit. Even with a smaller margin, the mission may be infeasible.
     """
     # With a larger margin, start, goal or a waypoint would lie outside the tightened limit, or the
     # vehicle could hardly hover.

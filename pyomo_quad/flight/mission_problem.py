@@ -2,9 +2,9 @@
 
 Without regeneration, a rotor that brakes returns no energy: a negative power counts as zero. The
 power therefore has a kink at zero, which makes the problem hard to solve. The model smooths the
-kink. The parameter `power.smoothing` of the Pyomo model sets the width of the smoothing [W]. A
-larger width makes the problem easier. Continuation solves the problem with larger widths first. The
-solution of each problem is the initial point for the next.
+kink over the width `power.smoothing` [W], a parameter of the Pyomo model. Continuation solves the
+problem with larger, easier widths first. The solution of each problem is the initial point of the
+next.
 """
 
 from __future__ import annotations
@@ -74,10 +74,9 @@ class MissionProblem:
     timings : mapping
         Time spent on each phase of the problem's preparation [s]: "build" and "compile".
     easier : tuple of mapping
-        Parameter values (parameter name -> value) that make the problem easier, the easiest first.
-        Each mapping smooths the kink of the power at zero over a larger width than the mission
-        does. The solves of continuation use these values; the final plan uses the mission's
-        own. The tuple is empty for a mission with regeneration.
+        Parameter values (parameter name -> value) for the solves of continuation, the easiest
+        first. They smooth the kink of the power at zero over a larger width than the mission's own
+        values. The tuple is empty for a mission with regeneration.
     """
 
     def __init__(self, problems: Problems, told: Scenario, search: Search | None = None) -> None:
@@ -170,9 +169,8 @@ class MissionProblem:
         Parameters
         ----------
         numbers : dict, optional
-            Full name of a parameter -> value that replaces the mission's value. If given, no usable
-            plans are made from the solutions on intermediate meshes. (A usable plan is confirmed by
-            simulation, at lower accuracy than requested.)
+            Full name of a parameter -> value that replaces the mission's value. If given, the
+            method `keep_usable` is not called on intermediate meshes.
         **chosen
             Arguments of the method `Problem.solve` that replace those of the property `arguments`.
 
@@ -200,8 +198,8 @@ class MissionProblem:
         """Solve the mission from an initial guess, by continuation from easier problems.
 
         Each problem is solved from the solution of an easier one. The mission itself is solved
-        last, with refinement of the mesh. If it fails on a refined mesh, the continuation is
-        repeated there, at most six times.
+        last, with refinement of the mesh. If this solve fails on a refined mesh, the continuation
+        is repeated on that mesh, at most six times.
 
         Parameters
         ----------
@@ -237,26 +235,8 @@ class MissionProblem:
     ) -> tuple[Solution, Solution | None]:
         """Solve the mission by continuation: with easier parameter values first, then with its own.
 
-        Parameters
-        ----------
-        easier : tuple of mapping
-            Easier parameter values (parameter name -> value), the easiest first. One problem is
-            solved for each mapping.
-        guess : mapping, DataFrame, Trajectory or None
-            Initial guess of the first solve; not used if `reached` is given.
-        mesh : Mesh
-            Mesh of the first solve; not used if `reached` is given.
-        reached : Solution, optional
-            Known solution of an even easier problem. The first solve starts from it, on its mesh.
-
-        Returns
-        -------
-        Solution
-            Result of the last solve, converged or not. If a solve is interrupted, its last iterate
-            with the mission's parameters.
-        Solution or None
-            `reached` if it was given. Otherwise the first converged solution with easier values, or
-            None if no solve with easier values converged.
+        The result is the last solution, and the easiest converged one or None. If the latter is
+        given as `reached`, `guess` and `mesh` are not used.
         """
         first = reached
         for numbers in easier:
@@ -284,7 +264,7 @@ class MissionProblem:
     def unsolved(self, **chosen: Any) -> Solution:
         """Return the initial point of a solve as a solution that is not converged.
 
-        It represents a mission that was not solved, or an interrupted solve. ``chosen`` has
+        It is the result if a mission is not solved, or if its solve is interrupted. ``chosen`` has
         arguments of the solve that replace those of the property `arguments`.
         """
         options = SolverOptions(max_iterations=0)
@@ -295,8 +275,9 @@ class MissionProblem:
         """Convert the solution of another problem to the variables of the mission's problem.
 
         ``own`` is any solution of the mission's problem. States and algebraic variables that
-        `other` lacks get their values from ``own``. If the two problems have different static
-        variables, all static variables are those of ``own``. The result is on the mesh of `other`.
+        `other` lacks get their values from ``own``. Static variables (constant in time) are taken
+        from `other` if both problems have the same ones, otherwise from ``own``. The result is on
+        the mesh of `other`.
         """
         mine, held = own.problem.compiled.declared, other.problem.compiled.declared
         path, found, mesh = own.trajectory, other.trajectory, other.mesh
@@ -311,8 +292,6 @@ class MissionProblem:
                 # A minimum-time problem, for example, lacks the battery's charge.
                 if slot.name in columns:
                     values[:, k] = given[:, columns[slot.name]]
-        # Static variables are constant in time. If the two problems have different ones, all values
-        # are those of ``own``.
         is_same = [slot.name for slot in mine.statics] == [slot.name for slot in held.statics]
         statics = found.statics if is_same else path.statics
         return replace(path, mesh=mesh, states=states, algebraics=algebraics, statics=statics)
@@ -380,10 +359,10 @@ class MissionProblem:
         return self.solve(mesh=flown.mesh, warm_start=flown, refinement=refinement)
 
     def keep_usable(self, finished: Solution) -> None:
-        """Try to make a usable plan from the solution `finished` on one mesh of the refinement.
+        """Try to make a usable plan from `finished`, the solution on one mesh of the refinement.
 
         A plan is usable if simulation confirms it at lower accuracy than requested. The attribute
-        `search` stores the best usable plan, and returns it if the search is stopped. Without
+        `search` stores the best usable plan, for the case that the search is stopped. Without
         `search`, nothing is done.
         """
         search = self.search

@@ -2,8 +2,8 @@
 
 A leg is the flight from one place to another. In the table, the row is the place where a leg begins
 and the column the place where it ends: first the start, then the other places, last the goal. The
-cost of a leg may depend on its direction. For the derivation of the bound, see
-docs/theory/orders.md, eqs. (2) to (5).
+cost of a leg may depend on its direction. Derivation of the bound: docs/theory/orders.md, eqs. (2)
+to (5).
 """
 
 from dataclasses import dataclass
@@ -42,9 +42,9 @@ class OrderSearch:
     order : tuple of int
         Indices of the scenario's waypoints, in the order in which the plan visits them.
     cost_J : float
-        Cost of this order [J], the sum of the costs of its legs. A leg is the flight from one place
-        to the next, from hover to hover. The cost of a leg is its energy plus the mission's price
-        of time [W] times its duration.
+        Cost of this order [J], the sum over its legs: flights from one place to the next, from
+        hover to hover. The cost of a leg is its energy plus the mission's price of time [W] times
+        its duration.
     bound_J : float
         Lower bound on the cost of every order of the waypoints [J]. If the flight of a leg was not
         solved, the bound uses an optimistic prediction of its cost.
@@ -98,8 +98,8 @@ def best_orders(costs: FloatArray, count: int) -> list[_Order]:
         Cost of each leg (flight from one place to another). The legs from the start are in row 0,
         the legs to the goal in the last column. The cost of a leg that is not allowed is infinite.
     count : int
-        Number of orders to return; fewer are returned if fewer exist. Orders of infinite cost may
-        be among the last.
+        Number of orders to return; fewer are returned if fewer exist. The last of them may have
+        infinite cost.
 
     Returns
     -------
@@ -180,7 +180,7 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
     """Return the cheapest orders that local search finds for the places between start and goal.
 
     A local change exchanges two neighbouring blocks of an order, or reverses a block [1]_. The
-    random numbers are the same in every call.
+    search is repeated from random perturbations of the best order, the same ones in every call.
 
     .. [1] Kanellakis and Papadimitriou, "Local search for the asymmetric traveling salesman
        problem", Operations Research 28 (1980).
@@ -219,7 +219,7 @@ def search_orders(costs: FloatArray, count: int) -> list[_Order]:
 def _without_infinities(costs: FloatArray) -> FloatArray:
     """Return a table of leg costs with a large number in place of infinite costs.
 
-    The number exceeds the cost of every order that uses allowed legs (flights between places) only.
+    The number exceeds the cost of every order that uses allowed legs only.
     """
     # The assignment and the local search need finite numbers.
     finite = costs[np.isfinite(costs)]
@@ -228,10 +228,9 @@ def _without_infinities(costs: FloatArray) -> FloatArray:
 
 
 def _neighbours(n: int) -> IntArray:
-    """Return all orders that a single local change makes from the order 0, 1, ..., n - 1.
+    """Return all orders that one local change makes from the order 0, 1, ..., n - 1.
 
-    Each row is also an index array: `order[row]` is `order` after this change (see
-    `search_orders`).
+    Each row is an index array: `order[row]` is `order` after the change.
     """
     every = np.arange(n)
     # An exchange of two blocks keeps the direction of flight within them.
@@ -254,8 +253,7 @@ def _named(order: IntArray) -> _Order:
 def _cost(costs: FloatArray, orders: IntArray) -> FloatArray:
     """Return the cost of each of several orders of places, shape (n_orders,).
 
-    Each row of `orders` has the places between start and goal, given by their indices in the table
-    `costs`, from 1.
+    Each row of `orders` has the places between start and goal, as indices in `costs`.
     """
     between = costs[orders[:, :-1], orders[:, 1:]].sum(axis=1)
     return np.asarray(costs[0, orders[:, 0]] + between + costs[orders[:, -1], -1])
@@ -276,23 +274,8 @@ def nearest_first(costs: FloatArray) -> IntArray:
 def _descended(costs: FloatArray, neighbours: IntArray, order: IntArray) -> IntArray:
     """Return the locally optimal order that steepest descent finds from an initial order.
 
-    A local change exchanges two neighbouring blocks of an order, or reverses a block. The descent
-    ends when no local change reduces the cost.
-
-    Parameters
-    ----------
-    costs : ndarray, shape (n + 2, n + 2)
-        Cost of each leg. Row 0 has the legs from the start, the last column has the legs to the
-        goal.
-    neighbours : ndarray
-        Local changes, one in each row, as the function `_neighbours` returns them.
-    order : ndarray, shape (n,)
-        Initial order of the places between start and goal, as indices in the table, from 1.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Order found, in the form of `order`.
+    Each row of `neighbours` is a local change. `order` has the places between start and goal, as
+    indices in `costs`.
     """
     cost = _cost(costs, order[None])[0]
     while True:
@@ -319,8 +302,8 @@ def least_cost(costs: FloatArray, reached: float) -> float:
         Cost of each leg (flight from one place to another), for at least one place between start
         and goal.
     reached : float
-        Cost of a known order. The result is at most this cost. The cost also determines the step
-        length of the iteration that computes the second bound.
+        Cost of a known order, which the result does not exceed. It also sets the step length of
+        the iteration for the bound by spanning trees.
 
     Returns
     -------
@@ -337,10 +320,9 @@ def least_cost(costs: FloatArray, reached: float) -> float:
 
 
 def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
-    """Return leg costs that do not depend on direction, for the lower bound by spanning trees.
+    """Return leg costs that do not depend on direction: docs/theory/orders.md, eq. (3).
 
-    `finite` is `costs` with large numbers in place of infinite costs. See docs/theory/orders.md,
-    eq. (3).
+    `finite` is `costs` with large numbers in place of infinite costs.
     """
     potential = np.zeros(len(costs))
     # The potentials are computed from the legs that are allowed in both directions.
@@ -358,8 +340,7 @@ def _made_symmetric(costs: FloatArray, finite: FloatArray) -> FloatArray:
 def _tree_bound(costs: FloatArray, reached: float) -> float:
     """Return a lower bound on the cost of every order of places, by minimum spanning trees.
 
-    `costs` is the symmetric table of leg costs, `reached` the cost of a known order. See
-    docs/theory/orders.md, eq. (5).
+    `reached` is the cost of a known order. Implements docs/theory/orders.md, eq. (5).
     """
     # An order is a spanning tree in which each place between start and goal has exactly two legs.
     # The prices of places penalise other numbers of legs.
@@ -383,8 +364,7 @@ def _tree_bound(costs: FloatArray, reached: float) -> float:
 def _least_tree(costs: FloatArray) -> tuple[float, FloatArray]:
     """Return the cost of the minimum spanning tree, and the number of its legs at each place.
 
-    `costs` is the symmetric table of leg costs, shape (n, n). The method is Prim's; see
-    docs/theory/orders.md, eq. (4).
+    Implements docs/theory/orders.md, eq. (4), by Prim's method.
     """
     n = len(costs)
     degrees, nearest, by = np.zeros(n), costs[0].copy(), np.zeros(n, dtype=int)

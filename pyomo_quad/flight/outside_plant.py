@@ -326,11 +326,7 @@ class OutsidePlant:
         return ordered
 
     def own(self, joint: FloatArray) -> list[float]:
-        """Return the states of the control law from a joint state of the simulation.
-
-        The joint state consists of RotorPy's state vector, the declared states that RotorPy lacks,
-        the states of the control law, and the energy spent.
-        """
+        """Return the states of the control law from a joint state (see `OutsidePlant`)."""
         return joint[_SIZE + len(self._others) : -1].tolist()
 
     def rates(self, t: float, joint: FloatArray, law: OutsideLaw) -> FloatArray:
@@ -343,9 +339,7 @@ class OutsidePlant:
         t : float
             Time [s].
         joint : ndarray, shape (n_joint,)
-            Joint state at this time: RotorPy's state vector, the declared states that RotorPy lacks
-            (such as the charge drawn from the battery), the states of the law, and the energy
-            spent.
+            Joint state at this time (see `OutsidePlant`).
         law : callable
             Control law: takes time, all declared states and the law's own states; returns rotor
             accelerations [rad/s^2] and the time derivatives of the law's own states.
@@ -393,8 +387,8 @@ class OutsidePlant:
     ) -> Flown:
         """Simulate RotorPy's vehicle under a control law.
 
-        The integration is restarted at the times at which the law may jump, and at each new command
-        if `habits` has a rate of commands.
+        The integration is restarted at each of `borders` or, if `habits` has a rate of commands, at
+        each new command.
 
         Parameters
         ----------
@@ -407,8 +401,8 @@ class OutsidePlant:
         own : sequence of float
             Initial values of the law's own states.
         borders : sequence of float
-            Increasing times [s] between which the law is smooth, including start and end of the
-            flight. If `habits` has a rate of commands, only start and end are used.
+            Increasing times [s] between which the law is smooth, with start and end of the flight.
+            If `habits` has a rate of commands, only start and end are used.
         integrator : str
             Method of `scipy.integrate.solve_ivp`.
         tolerance : float
@@ -463,15 +457,15 @@ class OutsidePlant:
     ) -> Callable[[float, FloatArray], FloatArray]:
         """Return the right-hand side of the closed loop for one period in which the law is smooth.
 
-        The law may jump at the start of the period. Earlier times than `inside` [s], just after the
-        start, are therefore replaced by `inside`. The period ends at `last` [s]. The returned
-        function raises a SolveError if the vehicle tumbles.
+        The period lasts from `inside` to `last` [s]. The function returned raises a SolveError if
+        the vehicle tumbles.
         """
         guard = TumblingGuard("RotorPy", last - inside)
 
         def slope(t: float, joint: FloatArray) -> FloatArray:
             guard.evaluated(t)
-            # The law may jump at the start of the period. The integrator must not see the jump.
+            # The law may jump at the start of the period, just before `inside`. The integrator must
+            # not see the jump.
             return self.rates(max(t, inside), joint, law)
 
         return slope
@@ -498,10 +492,9 @@ _WIND_VELOCITY = ("wind.velocity_x", "wind.velocity_y", "wind.velocity_z")
 
 
 def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatArray], FloatArray]:
-    """Return the wind of the scenario's model, as a function of time and of the model's states.
+    """Return the wind of the scenario's model, as a function of time [s] and of the states.
 
-    The function takes a time [s] and the states. It returns the wind along world x, y and z, shape
-    (3,) [m/s].
+    The function returns the wind along world x, y and z, shape (3,) [m/s].
     """
     keys = tuple((name, None) for name in _WIND_VELOCITY if dynamics.has(name))
 
@@ -522,7 +515,7 @@ def _wind_of(scenario: Scenario, dynamics: Dynamics) -> Callable[[float, FloatAr
 def refuse_pushing_wind(scenario: Scenario) -> None:
     """Raise a ScenarioError if the wind acts as an acceleration that does not depend on airspeed.
 
-    A zero wind is accepted if it is given by formulas, not as measured values.
+    Zero wind that is given by formulas is accepted. Measured values are always refused.
     """
     wind = scenario.wind
     is_steady = bool(wind.speed or wind.vertical)
@@ -564,10 +557,9 @@ def fly_outside(
     reference : Reference
         Path that the vehicle follows under feedback.
     plan : Plan, optional
-        Plan whose controls are flown in open loop, or whose path is the reference. Whenever a plan
-        is given, the flight begins in its initial state. If the scenario has no forecast wind, the
-        plan's costates give an estimate of the energy that is still needed if the flight ends off
-        the goal.
+        Plan whose controls are flown in open loop, or whose path is the reference. The flight
+        begins in its initial state. If the scenario has no forecast wind, the plan's costates give
+        an estimate of the energy still needed to reach the goal.
 
     Returns
     -------
@@ -617,10 +609,9 @@ def fly_under(
         Control law: takes time, the states of the scenario's Pyomo model and the law's own states;
         returns rotor accelerations [rad/s^2] and the time derivatives of the law's own states.
     plan : Plan, optional
-        Plan whose initial state is the initial state of the flight. If the scenario has no forecast
-        wind, the plan's costates give an estimate of the energy that is still needed if the flight
-        ends off the goal. Without a plan, the flight begins in hover at the start of the mission,
-        and there is no estimate.
+        Plan in whose initial state the flight begins; by default it begins in hover at the start of
+        the mission. If the scenario has no forecast wind, the plan's costates give an estimate of
+        the energy still needed to reach the goal.
     own : sequence of float
         Initial values of the law's own states.
     borders : sequence of float, optional
@@ -712,9 +703,8 @@ def se3_law(plant: OutsidePlant, path: ReferencePath, *, stiffness: float = 1.0)
 def _open_loop(plan: Plan, plant: OutsidePlant) -> tuple[OutsideLaw, list[float]]:
     """Return a plan's controls as a control law, and the times between which the law is smooth [s].
 
-    The law returns the planned rotor accelerations [rad/s^2]. If commands are constant over
-    intervals (`Habits.command_rate_hz`), the law adds a correction towards the planned rotor
-    speeds. The times are the boundaries of the plan's mesh elements.
+    The law returns the planned rotor accelerations [rad/s^2]. The times are the boundaries of the
+    mesh elements.
     """
     held, rotors = plan.trajectories, rotor_columns(plant.dynamics)
     start, end = held.horizon

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 def most_solves() -> int:
     """Return the number of solves of a mission that may run at the same time on this machine.
 
-    It is the number of available cores. It is 1 where this process must not be forked: on systems
-    other than Linux, in a worker process, and without OMP_NUM_THREADS=1 in the environment.
+    It is the number of available cores. It is 1 if this process must not be forked: outside Linux,
+    in a worker process, or if the environment lacks OMP_NUM_THREADS=1.
     """
     return processes.cores(os.cpu_count() or 1, use_blas=True)
 
@@ -42,10 +42,8 @@ def solve_side_by_side(
     Parameters
     ----------
     mission : MissionProblem
-        Compiled problem of the mission. Its progress callback, `mission.search`, receives two
-        things from each copy. One is the best usable plan: a plan that simulation confirms at lower
-        accuracy than requested. The other is a measure of the copy's work: the number of mesh
-        points, summed over the iterations of Ipopt.
+        Compiled problem of the mission. Its progress callback, `mission.search`, receives the best
+        usable plan and the work (`Search.work`) of each copy.
     solves : sequence of callable
         Functions without arguments, each of which solves the problem of `mission`.
 
@@ -97,9 +95,7 @@ def solve_side_by_side(
 class _Sent(NamedTuple):
     """Result of a solve in a forked copy of this process, as the copy sends it back.
 
-    `usable` is the best usable plan that the copy made. It is None if the copy made none that is
-    better than the plan known before. `work` is the number of mesh points, summed over the
-    iterations of Ipopt.
+    `usable` is a new best usable plan, or None. `work` is the increase of `Search.work`.
     """
 
     solution: Solution
@@ -114,8 +110,7 @@ _SHARED: list[object] = []
 def _reduced(sent: object) -> Any:
     """Return how `pickle` encodes an object that a forked copy sends to this process.
 
-    If both processes have the object (list `_SHARED`), only its index is sent. The result is a
-    function that restores the object, and its arguments, as `pickle` defines it.
+    The result has the form that Python prescribes for the method `__reduce_ex__`.
     """
     # Both processes have the objects of this list, so that only their index is sent.
     for place, shared in enumerate(_SHARED):

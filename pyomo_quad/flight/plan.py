@@ -188,7 +188,7 @@ class PlanStatus(StrEnum):
     INFEASIBLE
         The solve found that no flight keeps all limits, or keep-out zones block every route. A
         mission with several routes has this status if the solve along every route tried is
-        infeasible, even on a coarse mesh.
+        infeasible. A solve on a coarse mesh is enough.
     INTERRUPTED
         The solve was stopped.
     """
@@ -455,10 +455,8 @@ class Plan(Summarised):
         simulated, for example because the solve failed.
     error_estimate : float
         Estimate of the largest relative error of any state in any element of the mesh. If feedback
-        corrected the controls after the solve, `error_estimate` is the larger of this estimate and
-        the relative error of the energy, abs(E - E_least) / E_least. Here E is the energy of the
-        plan, and E_least the least energy of the mission. As a rule, E_least is the energy of the
-        solution before the correction.
+        corrected the controls after the solve, it is at least abs(E - E_least) / E_least. Here E is
+        the energy of the plan, and E_least the estimated least energy of the mission.
     history : tuple of MeshRecord
         Record of each mesh of the refinement.
     iterations : tuple of Iteration
@@ -484,10 +482,9 @@ class Plan(Summarised):
     flown : Flown or None
         Samples of the simulated flight of the verification.
     risk : RiskTaken or None
-        Risk for which the plan was made, with margins and test flights. The risk is the probability
-        that a flight in turbulence breaks a limit. Margins are the amounts by which limits were
-        tightened. None for a plan without margins. Such a plan may use the full thrust, so that a
-        controller has none left for corrections.
+        Record of the risk for which the plan was made, with margins and test flights. None for a
+        plan without margins, which may use the full thrust and leave the controller none for
+        corrections.
     """
 
     scenario: Scenario
@@ -627,15 +624,10 @@ class Plan(Summarised):
     def energy_uncertainty(self) -> float:
         """Estimated fraction of the energy that a better flight near the plan may save.
 
-        The fraction depends on the plan:
-
         - Verified plan: its error estimate, or the requested tolerance if that is smaller.
-        - Other plan, with at least two meshes: the relative change of the objective between the
-          last two.
-        - Other plan, with one mesh: its error estimate, which may be infinite.
-
-        If the plan is not verified, the fraction is at least the energy tolerance of the accuracy
-        `quick`.
+        - Other plan: the relative change of the objective between the last two meshes. If there are
+          not two meshes, it is the error estimate, which may be infinite. In both cases it is at
+          least the energy tolerance of the accuracy `quick`.
         """
         if self.is_verified:
             return min(self.error_estimate, self.scenario.solver.tolerance)

@@ -63,11 +63,10 @@ class Planner(Problems):
             Mission, vehicle, wind and settings.
         warm_start : Plan or WarmStart, optional
             A plan of a similar scenario, or the initial point (warm start) that a plan file or a
-            sweep has stored. The solve starts from the plan's trajectory, and also from the
-            multipliers if the two problems have the same equations. If `warm_start` is given,
-            candidate routes are not compared. If the order of the waypoints is open, `warm_start`
-            is ignored. For a mission of least time, it is used only if the minimum-time problem
-            fails.
+            sweep has stored. The solve starts from its trajectory, and from its multipliers if both
+            problems have the same equations. Candidate routes are then not compared. It has no
+            effect if the order of the waypoints is open. In a mission of least time, it is used
+            only if the minimum-time problem fails.
         progress : callable, optional
             Called at each Ipopt iteration; returning False stops the solve.
         show : callable, optional
@@ -76,10 +75,9 @@ class Planner(Problems):
         Returns
         -------
         Plan
-            The plan with its status. A solve may fail, be stopped, or exceed its time limit. It
-            then raises no exception, but returns the best usable plan: a plan that simulation
-            confirms at lower accuracy than requested. If there is none, the returned plan has a
-            failed status.
+            The plan with its status. If the solve fails, is stopped or exceeds its time limit, it
+            is the best usable plan: a plan that simulation confirms at lower accuracy than
+            requested. If there is none, the plan has a failed status.
 
             The time limit is `solver.time_limit` of the scenario, in processor time including
             verification. Apart from the time limit, no result depends on the speed of the machine.
@@ -108,8 +106,7 @@ class Planner(Problems):
     def _solve_in_best_order(self, scenario: Scenario, solve: Solve, search: Search) -> Plan:
         """Solve a mission whose waypoints may be visited in any order.
 
-        The result is the plan for the cheapest order found. `solve` makes a plan for a scenario
-        with a given order of its waypoints. `search` is the progress callback of all solves.
+        The result is the plan that `solve` makes for the cheapest order found.
         """
         orders = BestOrder(self, scenario, search)
         table = [
@@ -122,9 +119,8 @@ class Planner(Problems):
     def _solve_quickest(self, scenario: Scenario, start: Start | None, search: Search) -> Plan:
         """Solve for a flight in nearly the least duration of the mission.
 
-        Plans are made for durations that decrease towards the least duration. The result is the
-        last verified plan, or the first plan if none is verified. If no least duration is found,
-        the result is a plan for least energy, whose status is set to "not converged".
+        If no least duration is found, the result is a plan of least energy with the status "not
+        converged".
         """
         told = scenario.as_forecast()
         shortest = shortest_flight(self.builder(told), told, search, is_exact=True)

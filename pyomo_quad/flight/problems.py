@@ -31,11 +31,8 @@ Builder = Callable[[Scenario], Any]
 
 
 def _start_key(scenario: Scenario) -> Scenario:
-    """Return a key that is equal for scenarios whose problems have the same initial states.
-
-    It is the scenario without duration, wind and settings of baseline flights. The key may be used
-    only for scenarios of fixed duration.
-    """
+    """Return a key that is equal for scenarios of fixed duration with the same initial states."""
+    # Duration, wind and settings of baseline flights do not affect the initial states.
     timeless = scenario.mission.model_copy(update={"duration": 1.0})
     return guess_key(scenario).model_copy(update={"mission": timeless, "baseline": None})
 
@@ -122,8 +119,7 @@ class Problems:
         """Return the calculator of steady flight of a scenario's vehicle in still air.
 
         A user's own model may have states that the mission does not define. `known` maps their
-        names to initial values. Calculators are cached by scenario. If one is cached, `known` is
-        ignored.
+        names to initial values. It has no effect if the scenario's calculator is cached already.
         """
         steady = self._steady.get(scenario)
         if steady is None:
@@ -157,9 +153,7 @@ class Problems:
     def _starts_alike(self, scenario: Scenario) -> bool:
         """Return whether the cached problem of a scenario has the scenario's initial states.
 
-        If so, the equations of the cached problem can be used to simulate `scenario`. With a free
-        duration, the two scenarios may differ in the wind only. The result is always False for a
-        user's own model, for a wind measured over time, and if no problem is cached.
+        If so, the equations of the cached problem can be used to simulate `scenario`.
         """
         built_for, _ = self._problems.get(self._key(scenario)) or (None, None)
         # A wind measured over time is sampled at fixed fractions of the duration, so that the
@@ -167,7 +161,7 @@ class Problems:
         if built_for is None or not self.is_declared or scenario.wind.series is not None:
             return False
         if built_for.mission.is_free or scenario.mission.is_free:
-            # With a free duration, the scenarios may differ in the wind only.
+            # With a free duration, the two scenarios may differ in the wind only.
             return guess_key(built_for) == guess_key(scenario)
         return _start_key(built_for) == _start_key(scenario)
 

@@ -1,7 +1,7 @@
 """Verification of a plan that was read from a file, independent of the results in the file.
 
-The horizon of the plan must agree with the mission. For the package's own model, the initial and
-final state must, too. The controls, simulated by SciPy with the scenario's own equations, must
+The horizon of the plan must agree with the mission. So must its initial and final state, unless the
+model is a user's own. The controls, simulated by SciPy with the scenario's own equations, must
 reproduce the states of the file.
 """
 
@@ -115,8 +115,7 @@ def refuse_unproven(
 def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowed: Figures) -> None:
     """Raise a ScenarioError if a plan's simulated flight breaks a limit by too much.
 
-    `verification` has the violations of limits, and `allowed` the tolerances. The absolute
-    tolerance `allowed.intrusion` on limits of the airspace is not applied.
+    `allowed` has the tolerances; its absolute tolerance `intrusion` is not applied.
     """
     # The absolute tolerance on zones, floor, ceiling and fence [m] is too strict for the rounded
     # controls of a plan that was read from a table.
@@ -131,10 +130,9 @@ def _refuse_broken_limits(scenario: Scenario, verification: Verification, allowe
 def _refuse_failed(
     scenario: Scenario, verification: Verification, energy: float, allowed: Figures
 ) -> None:
-    """Raise a ScenarioError if a plan's simulated flight does not meet the tolerances.
+    """Raise a ScenarioError if a simulated flight fails on energy, waypoints or battery power.
 
-    The function checks energy, waypoints, and the power of the battery. `energy` is the energy that
-    the plan states [J].
+    `energy` is the energy that the plan states [J].
     """
     share = abs(verification.energy_difference_J) / max(1.0, abs(energy))
     passed = max(verification.passing_misses_m, default=0.0)
@@ -238,8 +236,8 @@ def _refuse_other_ends(
 ) -> None:
     """Raise a ScenarioError if the initial or final state of a plan differs from the mission's.
 
-    `states` has the shape (n_points + 1, n_states), in the order of `dynamics`. The tolerance of a
-    state is allowed.miss * max(1, abs(its value in the mission)). NaN is not compared.
+    The tolerance of a state is allowed.miss * max(1, abs(its value in the mission)). States that
+    the plan lacks (NaN) are not compared.
     """
     for end, wanted, found in (
         ("start", declared_start(scenario, dynamics), states[0]),
@@ -265,8 +263,7 @@ def _refuse_astray(
 ) -> None:
     """Raise a ScenarioError if the simulated states deviate from the states of the plan.
 
-    `flown` is the simulation of the plan's controls. The tolerance of a state is allowed.miss *
-    max(1, abs(planned value)).
+    The tolerance of a state is allowed.miss * max(1, abs(planned value)).
     """
     expected = planned.states_at(flown.t)
     worst, when, which = 0.0, 0.0, ""

@@ -40,8 +40,8 @@ _STEP = Polynomial((1,))
 class Setpoint(NamedTuple):
     """Values of a reference path at one time: x, y, z and yaw with two time derivatives.
 
-    If the reference path is a plan, the acceleration excludes the part that the air is expected to
-    cause, and `tilting` is given. Other reference paths ignore the air and the attitude.
+    If the reference path is a plan, `acceleration` excludes the acceleration that the plan expects
+    from the air, and `tilting` is given. Other reference paths ignore the air and the attitude.
     """
 
     place: Sequence[float]
@@ -154,8 +154,7 @@ class WaypointPath:
 class _Steps:
     """Reference path that jumps from place to place: through the waypoints to the goal.
 
-    The path begins at the first waypoint. It jumps when the vehicle is to leave a waypoint: at the
-    waypoint's prescribed time plus the duration of its hover.
+    It jumps when the vehicle is to leave a waypoint, at the end of its hover.
     """
 
     def __init__(self, mission: Mission) -> None:
@@ -304,8 +303,7 @@ class PlannedPath:
 class _Pieces:
     """Piecewise polynomials of several quantities over time, with common break times (knots).
 
-    The quantities are those of a reference path: position, yaw and their derivatives. One matrix
-    product evaluates all of them, and takes hardly longer than for a single quantity.
+    The quantities are position and yaw of a reference path, and their derivatives.
     """
 
     def __init__(self, knots: FloatArray, coefficients: Sequence[FloatArray]) -> None:
@@ -322,5 +320,6 @@ class _Pieces:
         """
         held = min(max(t, self._knots[0]), self._knots[-1])
         k = min(bisect_right(self._knots, held), len(self._pieces)) - 1
+        # One matrix product for all quantities takes hardly longer than for a single one.
         row = (held - self._knots[k]) ** self._exponents @ self._pieces[k]
         return row.tolist(), held == t

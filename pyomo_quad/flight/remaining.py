@@ -1,12 +1,10 @@
 """Solves of the remaining mission during a flight (re-planning), with soft limits.
 
 A re-plan is a new plan for the rest of the mission, made in flight. It ends at the goal, or in the
-next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`). They
-are tightened by the margins of the plan made before take-off (see `flight.margins`).
+next hover at a waypoint. Its limits may be violated at a penalty (see `model.soft_limits`).
 
-The remaining mission after each waypoint has its own equations. They are compiled and solved once
-before take-off. For the penalty and the initial state of a re-plan, see docs/theory/soft_limits.md,
-eqs. (1) to (3).
+The remaining mission after each waypoint has its own equations, compiled and solved once before
+take-off. For penalty and initial state, see docs/theory/soft_limits.md, eqs. (1) to (3).
 """
 
 from collections.abc import Callable, Mapping
@@ -112,8 +110,8 @@ _SPARE_M = 0.03
 class Belief:
     """Estimates that a plan made in flight is based on: mass and acceleration by the air.
 
-    `mass` includes the payload at take-off [kg]. `unexplained` is the horizontal acceleration that
-    the air causes in addition to the assumed wind, along world x and y [m/s^2].
+    `mass` includes the payload at take-off [kg]. `unexplained` is the horizontal acceleration by
+    the air that the assumed wind does not explain, along world x and y [m/s^2].
     """
 
     mass: float
@@ -158,8 +156,8 @@ class Remainder:
     def timeline(self, t: float) -> Timeline:
         """Return the mapping from fractions of the horizon to times, for a plan from time t [s].
 
-        Start, passages and end have fixed fractions in the compiled problem. Between them, the
-        mapping is linear.
+        The start, the passages of waypoints and the end have fixed fractions in the compiled
+        problem. Between them, the mapping is linear.
         """
         return Timeline(
             fractions=np.array(self.problem.compiled.declared.clock.fractions),
@@ -202,8 +200,7 @@ class Remainder:
 def _graded(start: float, stop: float) -> list[float]:
     """Return the breakpoints of mesh elements between the times `start` and `stop` [s].
 
-    The breakpoints are increasing times [s] inside the interval; `start` and `stop` are left out.
-    The elements are short near `start` and `stop`, and long in the middle.
+    Both ends are left out. The elements are short near them, and long in the middle.
     """
     half, widths = (stop - start) / 2, [_SHORT_S]
     if half < _SHORT_S:
@@ -227,9 +224,9 @@ class Course:
     belief : Belief
         Mass and acceleration by the air that the plan assumes.
     estimate : ndarray, shape (3,)
-        Estimated acceleration along the world axes [m/s^2], at the time of the plan's solve. It is
-        the part that the equations assumed before take-off (`Replanner.dynamics`) do not explain.
-        The plan's own equations include it, because `belief` was computed from it.
+        Estimated acceleration along the world axes [m/s^2], at the time of the plan's solve, that
+        the equations assumed before take-off (`Replanner.dynamics`) do not explain. The equations
+        of the plan include it, through `belief`.
     """
 
     plan: Trajectories
@@ -254,9 +251,7 @@ class Replanner:
         Planner that compiles the equations.
     margins : mapping, optional
         Scenario field -> amount by which its limit is tightened for the plan made before take-off.
-        Re-plans have the same margins, with one exception: they may use the full rotor speed and
-        thrust. The limits on these two are hard, while the goal is a soft condition. A margin on
-        them could therefore make a re-plan miss a goal that the vehicle has enough thrust to reach.
+        Re-plans have the same margins, but may use the full rotor speed and thrust.
 
     Raises
     ------
@@ -284,6 +279,8 @@ class Replanner:
                 )
         is_told = knowledge is Knowledge.TOLD
         self.margins = margins or {}
+        # The limits on rotor speed and thrust are hard, while the goal is a soft condition. Margins
+        # on them could make a re-plan miss a goal that the vehicle has enough thrust to reach.
         soft = {name: m for name, m in self.margins.items() if name not in KEPT_BY_CONTROLLER}
         held = tightened(scenario, soft)
         believed = held.as_it_blows() if is_told else held.as_forecast()
@@ -338,8 +335,9 @@ class Replanner:
         """Solve the remaining missions before take-off, for initial guesses of solves in flight.
 
         `plan` is the plan made before take-off. The converged solutions are stored, as starting
-        points of `solve`. The penalty on violations is increased until it is exact, see
-        docs/theory/soft_limits.md, eq. (2). If three increases are not enough, it is reset.
+        points of `solve`. The penalty on violations is increased until the solutions keep the
+        limits, see docs/theory/soft_limits.md, eq. (2). If three increases are not enough, the
+        penalty gets its former value again.
         """
         for rest in self.remainders:
             (state,), usual = self._states(plan, rest.begin), self._price
@@ -461,7 +459,7 @@ class Replanner:
         """Return whether a flight has used up its margin to any limit.
 
         A margin is used up if the vehicle is nearer to the limit than its plan by more than the
-        margin. A limit of `margins.FIELDS` without a margin has the margin zero. `state`, shape
+        margin. This also holds for limits in `margins.FIELDS` whose margin is zero. `state`, shape
         (n_states,), is measured at time t [s].
         """
         now, limits = np.array([t]), self.dynamics.control_limits(HELD_BREACH)
@@ -482,9 +480,9 @@ class Replanner:
     ) -> FloatArray:
         """Predict the state from which the next re-plan (new plan in flight) starts.
 
-        It is the planned state, moved towards the measured state until the controller can correct
-        the remaining deviation; see docs/theory/soft_limits.md, eq. (3). Tilt and rotor speeds are
-        changed so that the thrust balances `unexplained`.
+        It is the planned state, moved towards the measured state just far enough for the controller
+        to correct the remaining deviation; see docs/theory/soft_limits.md, eq. (3). Tilt and rotor
+        speeds are changed so that the thrust balances `unexplained`.
 
         Parameters
         ----------
@@ -522,8 +520,8 @@ class Replanner:
     ) -> None:
         """Change a planned state so that the thrust balances an additional acceleration.
 
-        Attitude and rotor speeds in `state` are changed in place. The plan does not include the
-        acceleration `unexplained`, shape (3,) [m/s^2].
+        Attitude and rotor speeds in `state` are changed in place. `unexplained` has shape (3,)
+        [m/s^2].
         """
         weight = np.array([0.0, 0.0, self._scenario.gravity])
         given = np.array(setpoint.acceleration[:3]) + weight
@@ -536,8 +534,7 @@ class Replanner:
     def _states(self, plan: Trajectories, *times: float) -> FloatArray:
         """Return a plan's states at given times [s], shape (n_times, n_states).
 
-        The columns are in the order of the states of the attribute `dynamics`, the equations of the
-        whole mission.
+        The columns are in the order of the attribute `dynamics`.
         """
         names = list(plan.state_names)
         columns = [names.index(name) for name in self.dynamics.state_names]
@@ -585,8 +582,7 @@ def _remainders(believed: Scenario) -> tuple[Remainder, ...]:
 def _ahead(believed: Scenario, k: int) -> Scenario:
     """Return the mission that remains after its first k waypoints, for re-plans in flight.
 
-    It ends during the first of the remaining hovers, if any. `believed` is the whole mission, with
-    the wind that plans assume.
+    If this mission has a hover at a waypoint, it ends during the first hover.
     """
     mission = believed.mission
     left = mission.waypoints[k:]
@@ -612,9 +608,8 @@ def _compiled(left: Scenario) -> Problem:
 def with_mass(scenario: Scenario, belief: Belief) -> Scenario:
     """Return the scenario with the estimated mass of the vehicle.
 
-    `belief.mass` is the estimated mass of the vehicle with its payload at take-off [kg]. The
-    payload of the scenario is unchanged. The mass of the vehicle without payload is the estimate
-    minus the payload.
+    `belief.mass` includes the payload at take-off [kg]. The payload of the scenario is unchanged.
+    The mass of the vehicle without payload is `belief.mass` minus this payload.
     """
     vehicle = scenario.vehicle
     learnt = vehicle.model_copy(update={"mass": belief.mass - vehicle.payload})

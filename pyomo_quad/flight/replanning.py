@@ -1,12 +1,11 @@
 """Re-planning in flight (model-predictive control) by repeated solves of the remaining mission.
 
-At constant intervals during a simulated flight, the optimal control problem of the rest of the
-mission is solved again. The solution is a new plan, called a re-plan. It begins at the time at
-which its solve is expected to end. A controller with adaptation follows the newest plan, at first
-the plan made before take-off. If a solve fails, the controller keeps following the previous plan.
+At constant intervals during a simulated flight, the rest of the mission is solved for a new plan,
+called a re-plan. It begins when its solve is expected to end. A controller with adaptation follows
+the newest plan, at first the plan made before take-off.
 
-The limits of a re-plan are soft, so that a solution exists from every state from which rotors and
-battery can reach the goal. See docs/theory/soft_limits.md.
+The limits of a re-plan are soft, so that a solution exists whenever rotors and battery can reach
+the goal. See docs/theory/soft_limits.md.
 """
 
 from collections.abc import Callable
@@ -80,8 +79,7 @@ def replanned_name(knowledge: Knowledge) -> str:
 class _Leg:
     """Part of a flight, from `start` to `end` [s], in which the vehicle follows one plan.
 
-    `course` has the plan, its reference path and its assumptions on mass and wind. `learnt` is an
-    estimated acceleration along the world axes.
+    `course` has the plan, its reference path and its assumptions on mass and wind.
     """
 
     course: Course
@@ -96,13 +94,13 @@ class _Leg:
 class _Observer:
     """Estimator of the acceleration that the equations assumed before take-off do not explain.
 
-    These equations are `Replanner.dynamics`. The cause of the unexplained acceleration is that wind
-    and mass differ from their assumed values. The estimator applies the adaptation law of the
+    These equations are `Replanner.dynamics`. The estimator applies the adaptation law of the
     controller to the measured states.
     """
 
     def __init__(self, scenario: Scenario, replanner: Replanner, velocity: FloatArray) -> None:
         gains = scenario.baseline.gains
+        # Wind and mass that differ from those of these equations cause the acceleration.
         self._dynamics = dynamics = replanner.dynamics
         self._released = replanner.released
         self._mass, self._gravity = scenario.vehicle.total_mass, scenario.gravity
@@ -127,8 +125,8 @@ class _Observer:
     def belief(self, flown: Flown) -> Belief:
         """Return a mass and a horizontal acceleration by the air, for the next plan.
 
-        Both follow from `estimate` and from the thrust at the end of `flown`. This is the last
-        simulated part of the flight. See docs/theory/soft_limits.md, eq. (4).
+        `flown` is the last simulated part of the flight. Implements docs/theory/soft_limits.md, eq.
+        (4).
         """
         last = flown.t[-1:], flown.states[-1:], flown.controls[-1:]
         acceleration = self._dynamics.table(_SLOPES, *last)[0]
@@ -177,8 +175,7 @@ class _Aircraft:
     def measured(self, state: FloatArray) -> FloatArray:
         """Return the states that the vehicle measures, in the order of the plans' equations.
 
-        `state` is a state vector of the simulated vehicle. It may include states of the turbulence,
-        which the vehicle does not measure.
+        `state` may include states of the turbulence, which the vehicle does not measure.
         """
         return state[self._measured]
 
@@ -192,8 +189,7 @@ class _Aircraft:
     def fly(self, leg: _Leg, state: FloatArray, integrator: Integrator) -> ClosedLoopFlight:
         """Simulate one part of the flight, in which the controller follows one plan.
 
-        `leg` is the part with its plan. `state` is the initial state of the vehicle, shape
-        (n_states,). `integrator` is the method of numerical integration.
+        `state` is the initial state of the vehicle, shape (n_states,).
         """
         belief = leg.course.belief
         controller = AdaptiveController(with_mass(self._scenario, belief), self._mixer, leg.learnt)
@@ -248,16 +244,15 @@ class _ReplannedFlight:
     def fly(self) -> None:
         """Simulate the whole mission, and solve for a new plan at constant intervals of time.
 
-        Each new plan replaces the present plan, if its solve succeeds. Shortly before a waypoint or
-        the end, after the time `Remainder.planned_until`, no plan is made. During the rest of a
-        hover, the vehicle follows the plan made before take-off.
+        Each new plan replaces the present plan, if its solve succeeds.
         """
         measured_at = self._settings.interval
         hovering_at = inf
         for rest in self._replanner.remainders:
             if hovering_at <= rest.begin:
                 self._advance(hovering_at)
-                # During the rest of a hover, the vehicle follows the plan made before take-off.
+                # Re-plans end soon after the start of a hover. Until the hover ends, the vehicle
+                # follows the plan made before take-off.
                 self._course = self._first
             hovering_at = rest.end
             measured_at = max(measured_at, rest.begin)
@@ -270,9 +265,7 @@ class _ReplannedFlight:
     def _replan(self, measured_at: float) -> float:
         """Solve for a new plan from a measured state, and simulate the flight during the solve.
 
-        `measured_at` is the time of the measurement [s]. The result is the time [s] at which the
-        solve ends and the new plan takes over. If the solve fails, the present plan is kept. The
-        solve is recorded in `resolves`.
+        The result is the time [s] at which the solve ends and the new plan takes over.
         """
         meant_for = measured_at + self._settings.solve_time
         estimate, belief = np.zeros(3), self._replanner.belief
@@ -294,6 +287,7 @@ class _ReplannedFlight:
         aboard = self._computer(solve_s)
         arrived_at = min(max(meant_for, measured_at + aboard), self._end)
         self._advance(arrived_at)
+        # If the solve fails, the vehicle keeps following the present plan.
         if solution is not None:
             self._course = self._replanner.course(solution, belief, estimate)
         self.resolves.append(
@@ -312,8 +306,7 @@ class _ReplannedFlight:
     ) -> Solution | None:
         """Solve the remaining mission from a state at time t [s]; None if the solve fails.
 
-        `belief` has the mass and wind that the plan assumes. `is_patient` allows as many iterations
-        as before take-off.
+        `is_patient` allows as many iterations as before take-off.
         """
         try:
             solution = self._replanner.solve(t, state, belief, is_patient=is_patient)
@@ -322,11 +315,7 @@ class _ReplannedFlight:
         return solution if solution.is_converged else None
 
     def _advance(self, end: float) -> None:
-        """Simulate the flight along the present plan until the time `end` [s].
-
-        The observer's estimate of the unexplained acceleration is updated with the simulated part
-        of the flight.
-        """
+        """Simulate the flight along the present plan until `end` [s], and update the observer."""
         if end - self._t > _SHORTEST * self._end:
             along, aside, upwards = (self._observer.estimate - self._course.estimate).tolist()
             leg = _Leg(
@@ -345,14 +334,9 @@ class _ReplannedFlight:
         self._t = end
 
     def flown_twice(self) -> list[tuple[Flown, Flown]]:
-        """Simulate each part of the flight again with a second integrator, for verification.
+        """Return each part of the flight with its simulation by a second integrator, as pairs.
 
-        A part is flown along a single plan. Both simulations of a part start from the same state.
-
-        Returns
-        -------
-        list of (Flown, Flown)
-            First and second simulation of each part.
+        Both simulations of a part start from the same state. Their difference verifies the flight.
         """
         # A second simulation of the whole flight soon deviates from the first. Plans of its own
         # differ, because a plan depends on the measured state down to its rounding errors. The
@@ -392,22 +376,21 @@ def fly_replanned(
         The mission, and the vehicle as assumed by controller and re-plans.
     knowledge : Knowledge
         Wind that the re-plans assume: the actual wind, the forecast corrected by an estimate, or
-        the forecast alone (calm air if there is none). Except with the forecast alone, re-plans
-        also use the estimated mass and unexplained acceleration.
+        the forecast alone (calm air if there is none). In the first two cases, re-plans also use
+        estimates of the mass and of the acceleration by the air.
     dynamics : Dynamics
         The simulated vehicle, in the actual wind.
     planner : Planner
         Planner that compiles the equations.
     plan : Plan, optional
-        Plan made before take-off. The mission is planned again before take-off if there is no plan
-        or if re-plans assume another wind than the forecast. The re-plans have the same margins as
-        `plan` (amounts by which limits are tightened). If the scenario has no forecast wind, the
-        costates of `plan` give an estimate of the energy still needed if the flight ends off the
-        goal.
+        Plan made before take-off, whose margins (amounts by which limits are tightened) the
+        re-plans share. Without it, or if the re-plans assume another wind than the forecast, the
+        mission is planned again before take-off. If the scenario has no forecast wind, the costates
+        of `plan` give an estimate of the energy still needed to reach the goal.
     computer : callable, optional
         Takes the processor time of a solve on this machine [s]; returns the time that the solve
-        takes aboard [s]. By default it returns the solve time that the scenario states. If the
-        scenario asks for the measured time, it returns the processor time.
+        takes aboard [s]. The default returns the solve time that the scenario states or, if the
+        scenario asks for the measured time, the processor time.
 
     Returns
     -------

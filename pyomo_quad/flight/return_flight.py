@@ -3,8 +3,7 @@
 A mission may reserve battery charge for a return to the start or to a rally point. The airspeed of
 the return minimises the charge per metre over the ground, against the wind at the start of the
 mission. The current is evaluated at the lowest state of charge that the return may reach, where the
-voltage is lowest and the current greatest. Over terrain the return begins with a climb. See
-docs/theory/homing.md.
+voltage is lowest. Over terrain the return begins with a climb. See docs/theory/homing.md.
 """
 
 from typing import TYPE_CHECKING
@@ -59,9 +58,7 @@ def with_return_flight(problems: "Problems", scenario: Scenario) -> Scenario:
 def _cheapest(scenario: Scenario, steady: SteadyFlight, wind: float) -> float:
     """Return the airspeed of least battery charge per metre over the ground [m/s].
 
-    `wind` is the head wind [m/s]. `steady` computes the steady flight at each airspeed. The battery
-    current is evaluated at the lowest state of charge that `scenario` allows. The function raises a
-    SolveError if no airspeed is possible.
+    `wind` is the head wind [m/s]. Raises a SolveError if no airspeed is possible.
     """
 
     def cost(airspeed: float) -> float:
@@ -102,9 +99,8 @@ def _current(
 ) -> float:
     """Return the battery current [A] of steady flight at the lowest state of charge allowed.
 
-    `airspeed` is the horizontal airspeed and `climb` the rate of climb, both in m/s. `scenario`
-    gives the lowest state of charge, and `steady` computes the flight. The function raises a
-    SolveError if the pack cannot give the power.
+    `airspeed` (horizontal) and `climb` are in m/s. Raises a SolveError if the pack cannot give the
+    power.
     """
     drawn = (1.0 - scenario.limits.least_charge) * steady.pack_capacity
     rate, reserve = steady.charge_rates(steady.trim([airspeed, 0.0, climb]), np.array([drawn]))

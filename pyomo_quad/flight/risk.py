@@ -1,10 +1,9 @@
 """Planning of flights that break limits with at most an allowed probability, the allowed risk.
 
-The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce the
-risk, limits are tightened for the plan; the amounts are called margins. A search finds the margins.
-Some controllers are too slow: with them, flights break limits too often, whatever the margins. If
-such a controller has the default gains, the search is repeated with the gains of a faster
-controller. See docs/theory/risk.md.
+The risk of a plan is the probability that a flight in turbulence breaks any limit. To reduce it,
+limits are tightened for the plan by margins, which a search finds. With a controller that is too
+slow, flights break limits too often, whatever the margins. If such a controller has the default
+gains, the search is repeated with faster gains. See docs/theory/risk.md.
 """
 
 from dataclasses import replace
@@ -27,9 +26,9 @@ _OWN_MODEL = "margins are computed for the built-in model only, not for a user's
 def risk_asked(scenario: Scenario) -> float:
     """Return the allowed risk of a plan: the largest probability that a flight breaks a limit.
 
-    A risk that the scenario states is returned. Otherwise the result is `_USUAL_RISK` if the
-    duration is free, and 1 (any risk) if it is fixed. With the simplified attitude equations of
-    Yacef et al., an unstated risk is always 1.
+    A risk that the scenario states is returned. Otherwise the result is `_USUAL_RISK` for a free
+    duration, and 1 (any risk) for a prescribed duration. For the simplified attitude equations of
+    Yacef et al., it is 1, too.
     """
     stated = scenario.mission.risk
     if stated is not None:
@@ -63,14 +62,13 @@ def plan_at_risk(
     Returns
     -------
     Plan
-        Plan whose attribute `risk` records margins and test flights. If the allowed risk cannot be
-        reached, or if the search is stopped, it is the plan of least risk that was found. If its
-        `risk.gains` is not empty, its scenario has these gains of the controller instead of the
-        default.
+        Plan whose attribute `risk` records margins and test flights. If the allowed risk is not
+        reached, or if the search is stopped, it is the plan of least risk that was found. Its
+        scenario has the controller gains `risk.gains`, if these are not empty.
 
         The result is the plan of `Planner.solve` without margins in three cases: any risk is
-        allowed (`risk = 1`), the plan is not flyable, or the model is a user's own. In the last
-        case, `Plan.risk` gives the reason if the scenario states a risk.
+        allowed (`risk = 1`), the plan is not flyable, or the model is a user's own. If the
+        scenario states a risk for a user's own model, `Plan.risk` says why there are no margins.
     """
     with planner.until_stopped() as is_stopped:
         paper = planner.solve(scenario, progress=progress, **solve)
@@ -101,8 +99,7 @@ def plan_at_risk(
 def _with_faster_gains(plan: Plan) -> Plan:
     """Return a plan whose scenario has the faster gains of the controller, `FASTER_GAINS`.
 
-    The trajectory of the plan is unchanged. A new search for margins, for the faster controller,
-    starts from the returned plan.
+    The trajectory of the plan is unchanged.
     """
     baseline = plan.scenario.baseline.model_copy(update={"gains": FASTER_GAINS})
     return replace(plan, scenario=plan.scenario.model_copy(update={"baseline": baseline}))

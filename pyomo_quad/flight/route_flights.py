@@ -1,15 +1,12 @@
 """Solves along candidate routes: cost estimates, coarse solves, and refinement of the best.
 
-A journey is a sequence of routes, one for each leg from one waypoint to the next. The best journey
-is found in these steps:
+A journey is a sequence of routes, one for each leg between waypoints. The best journey is found in
+these steps (docs/theory/routes.md):
 
-- Journeys whose estimated cost in steady flight is more than 1 % above the least are left out,
-  except at the accuracy `proof`. In a wind field, the journeys of least estimated energy are taken.
-- The mission is solved along the other journeys, on one coarse mesh.
-- The best of these solutions are solved again on a finer mesh.
-- The best of the finer solutions are refined to the tolerance of the mission.
-
-See docs/theory/routes.md.
+- Journeys of high estimated cost are left out.
+- The mission is solved along the others, on one coarse mesh.
+- The best solutions are solved again on a finer mesh.
+- The best of these are refined to the tolerance of the mission.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -79,9 +76,8 @@ class RouteFlights:
     ----------
     has_several_optima : bool
         Whether a journey may have several local optima, which differ in duration. This is the case
-        for flights of free duration through a wind field without waypoints. The first journey is
-        then solved from a flight with smooth corners, all others from straight lines. The best
-        solution is the start of further solves (see `_improve`).
+        for flights of free duration through a wind field without waypoints. The mission is then
+        solved from several initial guesses.
     """
 
     _near_on_first = _NEAR_ON_FIRST
@@ -113,9 +109,9 @@ class RouteFlights:
         Parameters
         ----------
         most : int, optional
-            Largest number of journeys; the shortest journeys are taken. By default, it is the
-            constant `routes.MOST_ROUTES`. In a wind field, the default is different: the journeys
-            are those of least energy in steady flight through the wind, and the shortest journey.
+            Largest number of journeys, of which the shortest are taken; by default
+            `routes.MOST_ROUTES`. In a wind field, the default is to take the journeys of least
+            energy in steady flight through the wind, and the shortest journey.
 
         Returns
         -------
@@ -138,8 +134,8 @@ class RouteFlights:
         """Solve the mission along given journeys on one mesh, and refine the best solutions.
 
         A journey is a sequence of routes, one for each leg. If two journeys lead to the same
-        solution, the later one is left out. A journey that a known solution dominates is left out,
-        too (see `sides_touched`).
+        solution, the later one is left out. A journey is also left out if a known solution is as
+        good as any along it (docs/theory/routes.md, eq. (1)).
 
         Returns
         -------
@@ -178,18 +174,8 @@ class RouteFlights:
     def _each_flown(self, journeys: Sequence[Journey]) -> Iterator[tuple[Journey, Solution]]:
         """Solve along the given journeys, one after the other or on several cores.
 
-        A journey that a known solution dominates is left out (see `sides_touched`). The results do
-        not depend on the number of cores.
-
-        Parameters
-        ----------
-        journeys : sequence of tuple of Route
-            The journeys, each a route for each leg of the mission from one waypoint to the next.
-
-        Yields
-        ------
-        (tuple of Route, Solution)
-            A journey and the solution along it.
+        Yields each journey with its solution. Journeys that a known solution dominates are left
+        out.
         """
         dominant: list[_SidesTouched] = []
 
@@ -204,6 +190,7 @@ class RouteFlights:
             solves = [partial(fly, journey) for journey in together]
             solved = solve_side_by_side(self._mission, solves)
             for journey, solution in zip(together, solved, strict=True):
+                # This condition makes the results independent of the number of cores.
                 if is_needed(journey):
                     if self._is_pruned and solution.status.is_solved:
                         dominant.append(sides_touched(self._scenario, journey, solution))
@@ -211,21 +198,10 @@ class RouteFlights:
             count, fly = most_solves(), self._fly_beside
 
     def _near(self, known: dict[int, Solution]) -> list[int]:
-        """Solve along the cheapest journeys again, on a finer mesh; return the best of them.
+        """Solve along the cheapest journeys again, on a finer mesh; return the numbers of the best.
 
-        If only one journey is near the least cost, it is returned without a solve.
-
-        Parameters
-        ----------
-        known : dict
-            Number of a journey (a route for each leg of the mission) -> its solution. The mapping
-            is changed in place: finer solutions replace coarse solutions, and duplicates are
-            removed.
-
-        Returns
-        -------
-        list of int
-            Numbers of the journeys whose cost is near the least, the cheapest first.
+        In `known` (number of a journey -> solution), finer solutions replace coarse ones, and
+        duplicates are removed.
         """
         near = _nearest(known, self._near_on_first, self._most(_MOST_ON_NEXT, self._near_on_first))
         if len(near) < 2:
@@ -240,10 +216,9 @@ class RouteFlights:
         return _nearest(compared, _NEAR_ON_NEXT, self._most(_MOST_REFINED, _NEAR_ON_NEXT))
 
     def _most(self, most: int, error: float) -> int:
-        """Return the largest number of journeys to solve again on a finer mesh.
+        """Return the largest number of journeys to solve again on a finer mesh: 1 or `most`.
 
-        `error` is the relative error of the energies on the present mesh. If it is within the
-        energy tolerance of the mission, the result is 1, otherwise `most`.
+        `error` is the relative error of the energies on the present mesh.
         """
         # With an error above the energy tolerance, journeys of similar energy cannot be ranked yet.
         # Otherwise the cheapest journey is already known to within the tolerance.
@@ -252,11 +227,11 @@ class RouteFlights:
     def _refined(self, known: Mapping[int, Solution], near: list[int]) -> dict[int, Solution]:
         """Return the best solutions refined to the tolerance, by number of the journey.
 
-        `known` maps numbers of journeys to coarse solutions. `near` has the numbers of the best
-        ones. If all their refinements fail, the other solutions are refined in order of cost.
+        `near` has the numbers of the best journeys in `known`.
         """
         solves = [partial(self.refine, known[k], None) for k in near]
         refined = dict(zip(near, solve_side_by_side(self._mission, solves), strict=True))
+        # If all these refinements fail, the other solutions are refined in order of cost.
         others = [k for k in _cheapest(known) if k not in near and known[k].status.is_solved]
         for k in others:
             statuses = [s.status for s in refined.values()]
@@ -285,15 +260,15 @@ class RouteFlights:
     def _journeys(self, most: int | None) -> tuple[Journey, ...]:
         """Return the candidate journeys along which the mission is solved, at most `most` of them.
 
-        As a rule, the shortest journey comes first. If the wind is a field and `most` is None, it
-        comes last, after the cheapest journeys through the field. Otherwise journeys of higher
-        estimated cost are left out (see `promising`), except at the accuracy `proof`.
+        The shortest journey comes first. In a wind field without `most`, it comes last, after the
+        journeys of least estimated energy.
         """
         told = self._scenario
         journeys = self._mission.journeys[:most]
         if self._has_corridors and most is None:
             steady = self._mission.problems.steady_flight(told)
             return corridor_journeys(told, steady, journeys[0])
+        # At the accuracy `proof`, journeys of higher estimated cost are solved, too.
         if told.solver.accuracy is Accuracy.PROOF or len(journeys) == 1:
             return journeys
         return promising(journeys, self._cost_per_metre(journeys[0]))
@@ -301,8 +276,7 @@ class RouteFlights:
     def _cost_per_metre(self, shortest: Journey) -> Callable[[FloatArray], float]:
         """Return a function that gives the cost per metre of steady flight in a direction [J/m].
 
-        The function takes the unit vector of the direction, shape (3,). It returns infinity if
-        there is no steady flight.
+        The function takes a unit vector. It returns infinity if there is no steady flight.
         """
         told, steady = self._scenario, self._mission.steady
         mission = told.mission
@@ -326,11 +300,10 @@ class RouteFlights:
         return cost
 
     def _fly_first(self, journey: Journey, *, is_alone: bool) -> Solution:
-        """Return the solution along the first of several journeys.
+        """Return the solution along the first journey, or the one given to the constructor.
 
-        A solution that was given to the constructor is returned without a solve. If the journey may
-        have several optima, it is solved from `smooth_guess`. If it `is_alone` (the only journey),
-        it is also solved from a flight at constant speed along its lines.
+        If there is no other journey (`is_alone`), a mission with several local optima is solved
+        from two initial guesses.
         """
         if self._known is not None:
             return self._known
@@ -357,10 +330,9 @@ class RouteFlights:
     ) -> Solution:
         """Solve the mission from an initial guess along a journey, on the mesh for comparisons.
 
-        If a waypoint has a radius or a speed limit, a failed solve is repeated with the default
-        `guess` and `options`. The repeated solve starts from the solution of an easier mission, in
-        which the vehicle passes exactly through the waypoints. All later calls begin with the
-        easier mission.
+        If the solve fails and a waypoint has a radius or a speed limit, it is repeated with the
+        default `guess` and `options`. The guess is then improved by solving an easier mission,
+        exactly through the waypoints. All later calls improve the guess in this way.
 
         Parameters
         ----------
@@ -400,31 +372,24 @@ class RouteFlights:
     def _improve(self, known: dict[int, Solution], journey: Journey) -> None:
         """Replace the best solution by a better local optimum, if solves from new guesses find one.
 
-        One guess is a faster flight along the best solution. If its solve saves energy, `journey`
-        is solved anew, and `_faster` improves both results. See docs/theory/routes.md.
-
-        Parameters
-        ----------
-        known : dict
-            Number of a journey -> its solution. The dict is changed in place.
-        journey : tuple of Route
-            The first of the journeys, whose lines are the second guess.
+        `known` (number of a journey -> solution) is changed in place. See docs/theory/routes.md.
         """
         first, options = _cheapest(known)[0], self._rough_options()
         if known[first].status.has_failed:
             return
+        # If a faster flight along the best solution saves energy, there are several optima.
         found = self.fly_again(known[first], _PROBE, options.from_a_flight())
         if not _saves(found, known[first]):
             return
-        # With Ipopt's own barrier parameter, iterates move farther from the guess.
+        # The lines of `journey` are another guess. With Ipopt's own barrier parameter, iterates
+        # move farther from it.
         others = self.fly(journey, options=options)
         known[first] = min(self._faster(found), self._faster(others), key=_cost)
 
     def _faster(self, flown: Solution) -> Solution:
         """Solve again from faster flights along the best solution, until the cost falls no more.
 
-        Each initial guess is the path of the best solution so far, flown in a shorter time. `flown`
-        is the first of these solutions. The result costs no more. See docs/theory/routes.md.
+        `flown` is the first of these solutions. See docs/theory/routes.md.
         """
         best, shares = flown, [*_FASTER]
         for _ in range(_MOST_FASTER):
@@ -458,22 +423,15 @@ class RouteFlights:
         )
 
     def _rough_options(self) -> SolverOptions:
-        """Return Ipopt's options for the coarse solves with which journeys are compared.
-
-        As a rule, Ipopt's convergence tolerance is the constant `ON_FIRST`. If the scenario allows
-        no mesh refinement, the coarse solves are the last ones, and the options are those of the
-        mission.
-        """
+        """Return Ipopt's options for the coarse solves with which journeys are compared."""
         options = self._mission.arguments["options"]
+        # Without mesh refinement, the coarse solves are the last ones.
         if self._scenario.solver.max_refinements > 0:
             options = replace(options, tolerance=ON_FIRST)
         return options
 
     def _fly_beside(self, journey: Journey) -> Solution:
-        """Solve along one of several journeys, without effect on the solves along the others.
-
-        `journey` is a route for each leg of the mission.
-        """
+        """Solve along one of several journeys, independently of the solves along the others."""
         # After a failed solve, `fly` sets this flag, with which it solves an easier mission first
         # for every later journey.
         is_plain = self._is_plain
@@ -484,11 +442,17 @@ class RouteFlights:
     def refine(self, flown: Solution, meshes: int | None) -> Solution:
         """Refine the mesh of a solution and solve again, with a limited number of meshes.
 
-        `flown` is the solution on its present mesh. `meshes` is the largest number of meshes,
-        including the present mesh; None to refine the mesh to the mission's tolerance. Without
-        regeneration, None means continuation (`MissionProblem.solve_from`), and a number means a
-        solve with the easiest parameter values. With regeneration, if the scenario allows no
-        refinement, `flown` is returned unchanged.
+        Without regeneration, the solve uses the easiest parameter values or, if `meshes` is None,
+        continuation (`MissionProblem.solve_from`). With regeneration, `flown` is returned unchanged
+        if the scenario allows no refinement.
+
+        Parameters
+        ----------
+        flown : Solution
+            Solution on its present mesh.
+        meshes : int or None
+            Largest number of meshes, including the present mesh; None to refine the mesh to the
+            mission's tolerance.
         """
         mission = self._mission
         if self._scenario.solver.max_refinements == 0 and not mission.easier:
@@ -607,8 +571,8 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
     -------
     dict
         "time" -> fractions of the horizon, shape (n,); name of a state -> its samples; "duration"
-        -> the end time [s]. The velocities are those of the solution divided by `share`, because
-        the same path takes `share` times as long. All other states are those of the solution.
+        -> the end time [s]. The states are those of the solution, with velocities divided by
+        `share`.
 
     Examples
     --------
@@ -619,6 +583,7 @@ def guess_from(flown: Solution, share: float) -> dict[str, Any]:
     states = flown.trajectory.states_at(fractions)
     names = [state.name for state in flown.problem.compiled.declared.states]
     columns = dict(zip(names, states.T, strict=True))
+    # The same path takes `share` times as long.
     for name in VELOCITY_STATES:
         columns[name] = columns[name] / share
     return {"time": fractions} | columns | {"duration": share * flown.horizon[1]}
@@ -702,8 +667,7 @@ def sides_touched(told: Scenario, journey: Journey, solution: Solution) -> _Side
 def _is_dominated(journey: Journey, touched: _SidesTouched) -> bool:
     """Return whether a journey need not be solved, because a known solution is as good.
 
-    This is the case if the journey passes the zones in `touched` on the same sides. They are the
-    zones that the known solution touches.
+    The journey then passes all zones that this solution touches on the same sides as the solution.
     """
     return all(sides <= set(route.sides) for route, sides in zip(journey, touched, strict=True))
 
@@ -719,11 +683,7 @@ _SAME_COST, _SAME_PLACE_M = 1e-6, 0.05
 
 
 def _is_same(one: Solution, other: Solution) -> bool:
-    """Return whether two solutions are the same flight, within the accuracy of a coarse mesh.
-
-    Both are on the same mesh. Both must have converged, their costs must agree, and their paths
-    must be close.
-    """
+    """Return whether two solutions on one mesh have converged to the same flight, up to errors."""
     if not (one.status.is_solved and other.status.is_solved):
         return False
     fractions = np.append(0.0, one.mesh.point_fractions)
@@ -736,8 +696,7 @@ def _is_same(one: Solution, other: Solution) -> bool:
 def _nearest(known: Mapping[int, Solution], share: float, most: int) -> list[int]:
     """Return the numbers of the solutions whose cost is near the least, the cheapest first.
 
-    The relative difference from the least cost is at most `share`. At most `most` numbers are
-    returned.
+    `share` is the largest relative difference from the least cost, `most` the largest number.
     """
     costs = {k: _cost(s) for k, s in known.items() if s.status.is_solved}
     least = min(costs.values(), default=inf)
@@ -757,7 +716,6 @@ def _saves(found: Solution, known: Solution) -> bool:
 def _cheapest(known: Mapping[int, Solution]) -> list[int]:
     """Return the numbers of all solutions, sorted by cost, the cheapest first.
 
-    `known` maps the number of a journey (a route for each leg of the mission) to the solution along
-    it. The cost is the objective of the solve. Failed solves come last.
+    The cost is the objective of the solve. Failed solves come last.
     """
     return sorted(known, key=lambda k: _cost(known[k]))

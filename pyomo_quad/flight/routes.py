@@ -1,12 +1,11 @@
 """Shortest routes round keep-out zones and over terrain, and flights of an autopilot along a route.
 
-Routes belong to the same homotopy class if they pass every zone on the same side: left, right, over
-or under. A route is a shortest path in a graph of points round the zones in the way. Further routes
+Routes of one homotopy class pass every zone on the same side: left, right, over or under. A route
+is a shortest path in a graph of points round the zones in the way. Further routes
 are found in order of length by Murty's method [1]_.
 
-Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk [2]_. The
-vehicle stops at every corner and at every waypoint. The speed determines the times of a cruise; the
-times that the mission gives are ignored.
+Cruise is the flight of an autopilot along straight legs at one speed, with limited jerk [2]_ and a
+stop at every corner and waypoint.
 
 .. [1] Murty, "An algorithm for ranking all the assignments in order of increasing cost", Operations
    Research 16 (1968).
@@ -124,9 +123,9 @@ def find_routes(
     Returns
     -------
     tuple of Route
-        The routes; empty if there is none. The corners of a route have a distance from each zone:
-        the required clearance plus the constant `zones.MARGIN_M` [m]. A gap between two zones that
-        is too narrow for such a corner counts as closed.
+        The routes; empty if there is none. The distance of a corner from its zone is at least the
+        clearance plus `zones.MARGIN_M` [m]. A gap between two zones that is too narrow for such a
+        corner counts as closed.
     """
     ends = np.array([start, goal], dtype=float)
     relevant = zones_hit(airspace.keep_out, ends, airspace.clearance)
@@ -307,18 +306,11 @@ def with_plain_passages(told: Scenario) -> Scenario | None:
 class _Graph:
     """Visibility graph: points round keep-out zones, and the free straight lines between them.
 
-    Parameters
-    ----------
-    airspace : Airspace
-        Keep-out zones, clearance from them, fence, floor and terrain.
-    ends : ndarray, shape (2, 3)
-        Start and goal [m].
-    relevant : list of KeepOut
-        The zones of the graph: its points are round these zones, and its lines avoid them. Its
-        lines may cross other zones of the airspace; the caller checks this.
+    `ends` are start and goal, shape (2, 3) [m]. Only the zones in `relevant` belong to the graph.
     """
 
     def __init__(self, airspace: Airspace, ends: FloatArray, relevant: list[KeepOut]) -> None:
+        # Lines may cross other zones of the airspace; the caller checks this.
         self._zones = relevant
         beside = [places_beside(zone, airspace.clearance, ends) for zone in relevant]
         places = np.vstack([ends, *beside])
@@ -384,8 +376,7 @@ class _Graph:
     def _shortest(self, allowed: tuple[frozenset[int], ...]) -> tuple[float, list[int]] | None:
         """Return length [m] and nodes of the shortest path that passes zones on allowed sides only.
 
-        For each zone, `allowed` has the indices of allowed members of `Side`. The result is None if
-        there is no path.
+        For each zone, `allowed` has indices into `Side`. The result is None if there is no path.
         """
         is_open = np.ones(len(self._first), dtype=bool)
         for crossings, sides in zip(self._crossings, allowed, strict=True):
@@ -511,8 +502,7 @@ def speed_profile(distance: float, speed: float, acceleration: float, jerk: floa
 def _peak_speed(distance: float, acceleration: float, jerk: float) -> float:
     """Return the peak speed of the fastest motion from rest to rest over a distance [m/s].
 
-    `distance` is the distance [m]. `acceleration` [m/s^2] and `jerk` [m/s^3] are the largest
-    magnitudes allowed. The speed is not limited.
+    Only acceleration [m/s^2] and jerk [m/s^3] are limited.
     """
     unbent = acceleration / jerk
     reached = acceleration / 2 * (sqrt(unbent**2 + 4 * distance / acceleration) - unbent)
@@ -529,9 +519,9 @@ def cruise_at(
 ) -> Scenario:
     """Return the mission with the times of an autopilot's cruise: passing times and duration.
 
-    Cruise is flight along straight legs at one speed. At the end the vehicle hovers at the goal for
-    `settling_s`, or longer if the flight would otherwise last less than `least_s`. If `speed` is
-    given, the returned scenario also has this cruise speed.
+    Cruise is flight along straight legs at one speed. The vehicle then hovers at the goal for
+    `settling_s`, or longer if the flight would otherwise last less than `least_s`. The returned
+    scenario also has the cruise speed `speed`, if it is given.
 
     Parameters
     ----------
@@ -597,13 +587,7 @@ def cruise(scenario: Scenario) -> SampledPath:
 def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
     """Return the straight lines of an autopilot's cruise, for each leg of the mission.
 
-    A leg round zones has several lines, and the vehicle stops between them.
-
-    Returns
-    -------
-    list of list of (ndarray, SpeedProfile)
-        For each leg, its lines. Each line has a displacement, shape (3,) [m], and a motion from
-        rest to rest.
+    Each line has a displacement, shape (3,) [m], and a motion from rest to rest.
     """
     airspace, settings = scenario.airspace, own_cruise(scenario)
     limits = settings.speed, settings.acceleration, settings.jerk
@@ -632,8 +616,8 @@ def _legs(scenario: Scenario) -> list[list[tuple[FloatArray, SpeedProfile]]]:
 def reached(scenario: Scenario) -> CruiseSettings:
     """Return cruise settings with the largest speed and acceleration that a cruise really reaches.
 
-    The legs of the mission may be too short for the settings of the scenario. The returned settings
-    result in the same flight.
+    They are smaller than the settings of the scenario if the legs are too short to reach these. The
+    flight is the same with both.
     """
     profiles = [profile for pieces in _legs(scenario) for _, profile in pieces]
     return CruiseSettings(

@@ -140,7 +140,7 @@ class Search:
     def is_early(self) -> bool:
         """Whether the search has run for less than about two seconds, too short for usable plans.
 
-        Callers use the property only if the requested accuracy is the highest, `proof`.
+        At the accuracy `proof`, usable plans are made only after this time.
         """
         # A usable plan is needed only if the search is stopped. Making one takes time, and most
         # searches end soon and by themselves.
@@ -157,8 +157,8 @@ class Search:
     def begin_apart(self, spent_s: float) -> None:
         """Prepare this object for solves in a forked process, where it is a copy.
 
-        The copy shows no progress and makes no first plan. `spent_s` is the processor time of the
-        search before the fork [s].
+        The copy shows no progress, and does not call the function set by `begin_with`. `spent_s` is
+        the processor time of the search before the fork [s].
         """
         self._make_first = self._show = None
         # The clock of a forked process starts at zero.
@@ -167,16 +167,15 @@ class Search:
     def is_stopped(self) -> bool:
         """Return whether the user or the time limit has stopped the search.
 
-        The user stops the search through a progress callback, which then returns False. This method
-        calls the callback with the last iteration of Ipopt to find out. Before the first iteration,
-        the result is False.
+        The user stops the search through a progress callback, which then returns False. It is
+        called with the last iteration of Ipopt. Before the first iteration, the result is False.
         """
         return self._last is not None and not self.deadline(self._last)
 
     def _begin(self) -> None:
         """Make the first plan of the search, and store it if it is usable.
 
-        The function set by `begin_with` is called only once, and only if there is no usable plan.
+        The function set by `begin_with` is called at most once.
         """
         make, self._make_first = self._make_first, None
         if make is None or self.usable is not None:
@@ -190,7 +189,7 @@ class Search:
     def restart_patience(self) -> None:
         """Make the property `is_early` true again for about two seconds of solves.
 
-        The first plan (see `begin_with`) is delayed, too. The method is called when the order of
+        The function set by `begin_with` waits anew, too. This method is called when the order of
         the waypoints has been chosen, before the whole mission is solved.
         """
         self._patient_from = self.work
@@ -244,13 +243,12 @@ class Search:
         energy_J : float
             Energy of the solution [J].
         flown : callable
-            Returns an iterator over simulated plans. The first plan is made from the solution as it
-            is. If its simulation breaks limits, the next plan is solved with stricter limits, and
-            so on. Plans are taken until one of them becomes the best usable plan. If the search
-            already has a usable plan that was made from a solution, only the first plan is taken.
+            Returns an iterator over simulated plans: first of the solution as it is, then of solves
+            with stricter limits, as long as limits are broken. Plans are taken until one becomes
+            the best usable plan. If the search already has a usable plan that was made from a
+            solution, only the first plan is taken.
         points : int
-            Number of points of the mesh, to which the cost of a simulation is taken as
-            proportional.
+            Number of points of the mesh, which measures the cost of a simulation.
         is_skipped : bool
             If True, no usable plan is made, and only the energy is noted for the progress display.
         """
@@ -296,8 +294,8 @@ class Search:
     def ended(self, plan: Plan) -> Plan:
         """Return the result of the search: its last plan or the best usable plan.
 
-        The result is `plan`, the last plan, if it is flyable, if its status is "infeasible", or if
-        there is no usable plan. Its `attempts` are the record of the search.
+        The result is the last plan, `plan`, if it is flyable or its mission infeasible, or if there
+        is no usable plan. Its `attempts` are the record of the search.
         """
         plan = as_usable(self._given_up(replace(plan, attempts=tuple(self.record))))
         if plan.is_flyable or plan.status is PlanStatus.INFEASIBLE or self.usable is None:
@@ -321,8 +319,7 @@ class Search:
     def _given_up(self, plan: Plan) -> Plan:
         """Return the last plan, marked as "not converged" if the search ran out of time.
 
-        The message of a marked plan states how far the search came. If `plan` is flyable or its
-        mission infeasible, it is returned unchanged.
+        A flyable or infeasible plan is returned unchanged.
         """
         if not self.deadline.is_over or plan.is_flyable or plan.status is PlanStatus.INFEASIBLE:
             return plan

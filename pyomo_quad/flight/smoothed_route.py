@@ -1,13 +1,11 @@
 """Smooth path along a route at prescribed speeds, without an optimisation.
 
-A route consists of straight lines. A point moves along these lines with bounded acceleration, and
-slowly past corners. The smooth path is a moving average of this motion: the weighted mean of the
-point's positions over a short span of time. Velocity, acceleration and jerk of the path are
-continuous.
+A point moves along the straight lines of the route with bounded acceleration, and slowly past
+corners. The smooth path is a moving average of this motion: the weighted mean of the point's
+positions over a short span of time. Its velocity, acceleration and jerk are continuous.
 
-A moving average cuts corners. The corners of the lines are therefore moved outwards, until the path
-passes through the original corners. Derivation and sources: docs/theory/geometric_plan.md, eqs. (1)
-to (4).
+A moving average cuts corners. The corners are therefore moved outwards, until the path passes
+through the original ones. See docs/theory/geometric_plan.md, eqs. (1) to (4).
 """
 
 from __future__ import annotations
@@ -121,9 +119,8 @@ class SmoothPath:
 class _Motion:
     """Motion along the straight lines of a route, in phases of constant acceleration.
 
-    `times` [s], `distances` [m] and `speeds` [m/s] have the values at the n borders of the phases,
-    shape (n,). `passings` has the times at which the smooth path reaches and leaves each corner
-    [s].
+    `times` [s], `distances` [m] and `speeds` [m/s] are given at the borders of the phases. For
+    `passings`, see `SmoothPath`.
     """
 
     times: FloatArray
@@ -172,24 +169,7 @@ def _pace_for(
 ) -> Pace | None:
     """Return the pace at which a motion along a route lasts a given duration.
 
-    A pace is the greatest speed and the greatest accelerations of a motion.
-
-    Parameters
-    ----------
-    stops : sequence of Stop
-        Corners of the route, with the hovers and speeds that the mission requires.
-    corners : ndarray, shape (n, 3)
-        Positions of the corners after they were moved outwards [m].
-    fastest : Pace
-        Greatest speed allowed, and the accelerations.
-    lasting : float
-        Duration of the motion [s].
-
-    Returns
-    -------
-    Pace or None
-        `fastest` with a lower speed, at least 0.05 m/s; None if the motion takes longer than
-        `lasting` even at the greatest speed.
+    It is `fastest` with a lower speed, at least 0.05 m/s; None if even `fastest` takes longer.
     """
 
     def excess(speed: float) -> float:
@@ -207,8 +187,8 @@ def _pace_for(
 def _corner_speeds(stops: Sequence[Stop], steps: FloatArray, pace: Pace) -> FloatArray:
     """Return the speed of a motion along straight lines at each of n corners [m/s], shape (n,).
 
-    `steps` has the displacements between corners, shape (n - 1, 3) [m]. Implements
-    docs/theory/geometric_plan.md, eqs. (1) and (2).
+    `steps` are the ways between corners [m]. Implements docs/theory/geometric_plan.md, eqs. (1) and
+    (2).
     """
     lengths = np.linalg.norm(steps, axis=1)
     courses = steps / np.maximum(lengths, _SAME_M)[:, None]
@@ -272,8 +252,7 @@ def _motion(stops: Sequence[Stop], corners: FloatArray, pace: Pace) -> _Motion:
 def _averaged(motion: _Motion, corners: FloatArray, lasting: float | None) -> SmoothPath:
     """Return the smooth path: the moving average over time of a motion along straight lines.
 
-    `lasting` is the duration of the path [s]; None for that of the motion. Implements
-    docs/theory/geometric_plan.md, eq. (3).
+    `lasting` is its duration [s]. Implements docs/theory/geometric_plan.md, eq. (3).
     """
     from scipy.interpolate import CubicHermiteSpline  # noqa: PLC0415  most searches end before
 

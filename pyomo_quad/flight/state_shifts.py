@@ -1,12 +1,10 @@
 """Shifts of a path in tilt, speed and rotor speeds, away from limits that a flight exceeds.
 
-Between the collocation points, a coarse solution may exceed a limit on tilt, speed or rotor speed.
-A simulated vehicle that follows the solution under feedback may then exceed the limit, too. For the
-next simulation, the limited states of the path are shifted away from the limit while it is
-exceeded.
-
-During the shift, the regulator gives deviations of the shifted states a greater weight. It begins
-to act before the shift begins. See docs/theory/tracking.md, eq. (9).
+Between the collocation points, a coarse solution may exceed a limit. A simulated vehicle that
+follows the solution under feedback may then exceed the limit, too. For the next simulation, the
+limited states of the path are shifted away from the limit while it is exceeded. The regulator
+anticipates the shift, and gives these states a greater weight during it. See
+docs/theory/tracking.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -70,9 +68,8 @@ def shifts_within_limits(
     limits : sequence of LimitValues
         Limited quantities at these samples (see `flight.displacement.limits_along`).
     tolerated : float
-        Tolerated relative violation of a limit. The tolerated absolute violation is tolerated *
-        max(1, m), where m is the greatest magnitude of the limited quantity in the flight, in its
-        unit.
+        Tolerated violation of a limit, relative to the larger of 1 and the greatest magnitude of
+        the limited quantity in the flight.
 
     Returns
     -------
@@ -126,8 +123,7 @@ def _is_kept_by_shifts(limit: str) -> bool:
 def _slope(limit: str, names: Sequence[str], states: FloatArray) -> dict[str, float]:
     """Return the gradient of a limited quantity with respect to the states of the vehicle.
 
-    `limit` is the full name of the limit. The result maps states to their partial derivatives at
-    `states`.
+    The result maps names of states to partial derivatives at `states`.
     """
     if limit == _SPEED_LIMIT:
         velocity = states[[names.index(name) for name in VELOCITY_STATES]]

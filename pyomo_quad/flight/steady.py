@@ -1,12 +1,10 @@
 """Steady flight of a vehicle, computed from its compiled equations: hover, trim and battery load.
 
 In steady flight the position changes at a given velocity, and the other states are constant. The
-states and controls of a steady flight are called its trim. A user's own model is treated in the
-same way as the package's model.
+states and controls of a steady flight are called its trim.
 
-This module also computes the thrust that a motion requires (`MomentumDemand`), and the power of the
-rotors at a given thrust. A proven lower bound of a mission's energy uses both: see
-docs/theory/bound.md, eqs. (1) and (6).
+For a proven lower bound of a mission's energy, this module also computes the thrust that a motion
+requires, and the power at a given thrust: docs/theory/bound.md, eqs. (1) and (6).
 """
 
 from __future__ import annotations
@@ -102,20 +100,11 @@ def _sharpen(
 ) -> None:
     """Reduce the residual of a least-squares solution to rounding errors by Newton steps.
 
-    The steps use the Jacobian of the last iteration of the least-squares search. A large residual
-    means that no solution is near; nothing is done in this case.
-
-    Parameters
-    ----------
-    residual : callable
-        Unknowns, shape (n,) -> residual, shape (m,), which is zero at the solution.
-    found : OptimizeResult
-        Result of `scipy.optimize.least_squares`; its solution and residual are changed in place.
-    scale : ndarray, shape (n,)
-        Magnitudes of the unknowns. There may be many steps that remove the residual. The step is
-        the one whose components, divided by these magnitudes, have the least norm.
+    `found` is changed in place. Of all steps that remove the residual, the smallest relative to
+    `scale` is taken.
     """
     for _ in range(_SHARPENINGS):
+        # A large residual means that no solution is near.
         if not np.max(np.abs(found.fun), initial=0.0) <= _NEARLY:
             break
         found.x -= np.linalg.lstsq(found.jac * scale, found.fun, rcond=None)[0] * scale
@@ -164,8 +153,8 @@ class SteadyFlight:
             Velocity over ground in world axes [m/s]; by default zero (hover). In still air it is
             also the velocity relative to the air.
         near : Trim, optional
-            Steady flight at a similar velocity, as the initial guess. It has no effect on a
-            velocity that was computed before, whose result is kept.
+            Steady flight at a similar velocity, as the initial guess. It is not used if the result
+            for `velocity` is known from an earlier call.
 
         Returns
         -------
@@ -266,9 +255,8 @@ class SteadyFlight:
         drawn : ndarray, shape (n,)
             Charge drawn from the full pack [A h].
         circuit : ndarray, shape (n, n_circuit), optional
-            Relaxation voltage [V] and temperature [K] of the battery at the given charges; by
-            default their values in `trim`. There is a column for each of the two that is a state of
-            the model.
+            Relaxation voltage [V] and temperature [K] of the battery at the given charges, if they
+            are states of the model; by default their values in `trim`.
 
         Returns
         -------
@@ -318,8 +306,8 @@ class SteadyFlight:
     def _circuit_under_load(self, trim: Trim, drawn: FloatArray) -> FloatArray | None:
         """Return relaxation voltage [V] and temperature [K] of the pack under a steady load.
 
-        Row k of the result, shape (n, n_circuit), is for the charge `drawn[k]` [A h]; `drawn`
-        increases. None if the model has neither.
+        The shape is (n, n_circuit), for n increasing charges `drawn` [A h]. None if the model has
+        neither.
         """
         own, charge = self._circuit, self._dynamics.state_names.index(CHARGE_STATE)
         if not own:
@@ -451,10 +439,11 @@ class SteadyFlight:
 
     @property
     def greatest_pack_power(self) -> float:
-        """Greatest power that the battery can give in its initial state, at half its voltage [W].
+        """Greatest power that the battery can give in its initial state [W].
 
-        The scenario's limits on voltage and current are not applied. The value is negative if the
-        battery has a negative voltage.
+        At this power, the voltage is half of the voltage without load. The scenario's limits on
+        voltage and current are not applied. The value is negative if the battery has a negative
+        voltage.
         """
         return float(self._read(("battery.greatest_power",), self._start)[0])
 
@@ -490,8 +479,7 @@ class SteadyFlight:
     def _speed_where(self, reading: object, wanted: float) -> float:
         """Return the rotor speed [rad/s] at which an increasing quantity has a wanted value.
 
-        `reading` takes the common speed of all rotors, and returns the quantity, such as the total
-        thrust.
+        `reading` takes the common speed of all rotors, and returns the quantity.
         """
 
         def excess(speed: float) -> float:
@@ -534,9 +522,9 @@ class SteadyFlight:
 class MomentumDemand:
     """Calculator of the thrust vector that a motion of the vehicle requires (momentum balance).
 
-    Whatever the attitude, the required thrust is mass * (a - a_0). Here a is the acceleration of
-    the motion, and a_0 the acceleration by weight and air alone (rotors stopped). For drag that is
-    linear in the velocity, see docs/theory/bound.md, eq. (1).
+    The required thrust is mass * (a - a_0) for every attitude. Here a is the acceleration of the
+    motion, and a_0 the acceleration by weight and air with stopped rotors. For drag that is linear
+    in the velocity, see docs/theory/bound.md, eq. (1).
 
     Parameters
     ----------
@@ -587,8 +575,7 @@ class MomentumDemand:
     def _mass(self, axis: int) -> float:
         """Return the mass that the equations of motion imply along a world axis [kg].
 
-        It is the ratio of a test thrust along this axis to the acceleration that the test thrust
-        adds. `axis` is 0, 1 or 2 for x, y or z.
+        It is the ratio of a test thrust along this axis to the acceleration that the thrust adds.
         """
         names, start = self._dynamics.state_names, self._dynamics.start
         states = self._at_rest.copy()

@@ -1,8 +1,7 @@
 """Planning strategies: ways to obtain or to improve a plan, in the order in which they are tried.
 
-Examples are a first solve, a retry of a failed solve from another initial guess, and the simulation
-that verifies a plan. Each strategy has a condition and an action. An example is "the last solve
-failed" with "solve again from the flight of shortest duration".
+Each strategy has a condition and an action. An example is "the last solve failed" with "solve again
+from the flight of shortest duration".
 
 The search for a plan goes through a list of strategies once, and carries out each action whose
 condition holds. The action returns a text on its outcome, which the user reads in `Plan.attempts`.
@@ -28,8 +27,8 @@ Subject = TypeVar("Subject")
 class Strategy(NamedTuple, Generic[Subject]):
     """One way to obtain or to improve a plan: an action, and the condition under which to try it.
 
-    Both are functions of the subject, the object that the strategies improve. An example is a
-    `Candidate`, which holds the best solution of a mission so far.
+    Condition and action are functions of one object, the subject, which the strategies improve. An
+    example is a `Candidate`, which holds the best solution of a mission so far.
 
     Attributes
     ----------
@@ -129,10 +128,10 @@ _WITHIN_PACK = f"power limited to {100.0 * GIVEN_SHARE:.0f} % of the pack's grea
 def _hold_pack(candidate: Candidate) -> str:
     """Plan a mission again with an upper limit on the power of the battery.
 
-    The new plan replaces the old plan only if simulation verifies it. The result is the status of
-    the new solve.
+    The result is the status of the new solve.
     """
-    # A new solve that fails is final: other initial guesses are not tried.
+    # A new solve that fails is final: other initial guesses are not tried. The new plan replaces
+    # the old plan only if simulation verifies it.
     return candidate.hold_pack(lambda gentler: carry_out((*FIRST, *PROOF), gentler, gentler.search))
 
 

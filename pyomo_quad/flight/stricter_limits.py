@@ -1,11 +1,11 @@
 """Solves with stricter limits, for plans whose simulated flight breaks limits of the mission.
 
 A solution satisfies its limits at the collocation points. Between these points its path may cut the
-corner of a zone, or go below the floor (least height above the ground). The problem is therefore
-solved again with a limit that is stricter by the amount of the violation.
+corner of a zone, or go below the floor. The problem is therefore solved again with a limit that is
+stricter by the amount of the violation.
 
 A stricter limit costs energy. The energy of the plan is therefore compared with an estimate of the
-least energy within the original limits; see docs/theory/tracking.md, eq. (10).
+least energy; see docs/theory/tracking.md, eq. (10).
 """
 
 from __future__ import annotations
@@ -122,12 +122,12 @@ def within_limits(
     Yields
     ------
     Plan
-        Plan with the result of its simulation. The parameter values stored with the plan are those
-        of the mission, without the stricter limits. The iteration ends in each of these cases:
+        Plan with the result of its simulation. Its parameter values are those of the mission,
+        without the stricter limits. The iteration ends in each of these cases:
 
         - All limits are satisfied at an acceptable cost.
         - A solve fails.
-        - The limits were made less strict to save energy, and the flight breaks limits again.
+        - The flight breaks limits again after they were made less strict to save energy.
         - The violation of a limit is too large, or no parameter sets the limit.
         - The state at the start or at the goal is outside a stricter limit.
     """
@@ -190,8 +190,7 @@ def _least_energy(
 ) -> float:
     """Estimate the least energy of a mission [J], by interpolation between two solutions.
 
-    `cuts` and `margins` map parameters that set limits to amounts. The flight of `relaxed` breaks
-    the limits by `cuts`; the limits of `strict` are stricter by `margins`. Implements
+    `cuts` and `margins` map parameters that set limits to amounts. Implements
     docs/theory/tracking.md, eq. (10).
     """
     low, high = (energy_of(mission.told, solution) for solution in (relaxed, strict))
@@ -218,8 +217,7 @@ def broken_limits(plan: Plan, figures: Figures) -> tuple[Violation, ...]:
 def _helps(breach: Violation, figures: Figures) -> bool:
     """Return whether a solve with a stricter limit is worth trying for a violated limit.
 
-    The violation must be small, and a parameter of the model must set the limit. For limits on
-    rotor speed and thrust, `figures` must be the tolerances of a usable plan, `USABLE`.
+    The violation must be small, and a parameter of the model must set the limit.
     """
     name = breach.name.partition("[")[0]
     # Stricter limits on rotor speed and thrust cost more energy than any accuracy level tolerates.
@@ -233,22 +231,8 @@ def _by_parameter(
 ) -> dict[str, tuple[float, float]]:
     """Return the violation of each broken limit, and the change that makes the limit stricter.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan whose simulated flight breaks the limits.
-    broken : iterable of Violation
-        Violation of each broken limit.
-    numbers : mapping
-        Full name of a parameter -> value in the mission.
-    figures : Figures
-        Tolerances of the required accuracy.
-
-    Returns
-    -------
-    dict
-        Full name of the parameter that sets the limit -> (violation, change of the parameter). Both
-        have the unit of the parameter. The violation is positive; the change may have either sign.
+    Key: name of the parameter that sets the limit. Both numbers have its unit. The violation is
+    positive, the change may have either sign.
     """
     found = dict[str, tuple[float, float]]()
     for breach in broken:
@@ -266,8 +250,7 @@ def _by_parameter(
 def _changed(numbers: Mapping[str, float], changes: Mapping[str, float]) -> dict[str, float]:
     """Return parameter values with changes added, for a solve with stricter limits.
 
-    `changes` maps some of the full names in `numbers` to amounts to add. Large decreases are
-    clipped. Start and goal stay between floor and ceiling.
+    A parameter decreases by at most half. Start and goal stay between floor and ceiling.
     """
     found = dict(numbers)
     for name, change in changes.items():
@@ -300,10 +283,9 @@ def mesh_where_broken(solution: Solution, plan: Plan, figures: Figures) -> Mesh:
 
 
 def _denser_mesh(solution: Solution, windows: Iterable[tuple[float, float]], denser: int) -> Mesh:
-    """Return the mesh of a solution with shorter elements during given windows of time.
+    """Return the mesh of a solution with shorter elements during given windows of time [s].
 
-    In a window, elements have at most 1 / `denser` of the old length. `windows` has the start and
-    end of each [s].
+    In a window, elements have at most 1 / `denser` of the old length.
     """
     mesh, cuts = solution.mesh, list[float]()
     for window in windows:
@@ -327,22 +309,8 @@ def _windows(
 ) -> list[tuple[float, float]]:
     """Return the periods in which the mesh is refined, because a flight cuts through a zone.
 
-    Each violation is extended by its own duration, before and after.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan with the result of its simulation.
-    figures : Figures
-        Tolerances of the required accuracy.
-    numbers : mapping
-        Full name of a parameter that sets a limit -> its value. The flight is compared with the
-        limits that these values set. All other parameters have the values of the mission.
-
-    Returns
-    -------
-    list of (float, float)
-        Start and end of each period [s].
+    Each period has a start and an end [s]. `numbers` maps parameters that set limits to values that
+    replace those of the mission.
     """
     if plan.flown is None:
         return []

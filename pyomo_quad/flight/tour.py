@@ -1,9 +1,9 @@
 """Search for the cheapest order of the waypoints of a mission, from the energies of its legs.
 
 A leg is the flight from one place of the mission to another, from hover to hover. The legs between
-neighbouring places and the legs of the cheapest orders are solved as flights of their own, which
-gives their energies. The energies of all other legs are predicted from the solved ones, see
-docs/theory/orders.md, eq. (1). Then the whole mission is solved for the few cheapest orders.
+neighbouring places and those of the cheapest orders are solved as separate flights. The energies of
+all other legs are predicted from these, see docs/theory/orders.md, eq. (1). Then the whole mission
+is solved for the few cheapest orders.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ class LegTable:
     def costs(self) -> FloatArray:
         """Return the cost of each leg [J], solved or predicted optimistically.
 
-        The cost is the energy plus the price of time times the duration. As long as no leg is
-        solved, the lengths [m] serve as costs. See docs/theory/orders.md, eq. (1).
+        The cost is the energy plus the price of time times the duration. If no leg is solved yet,
+        the result is `lengths` [m]. See docs/theory/orders.md, eq. (1).
 
         Returns
         -------
@@ -281,8 +281,8 @@ def _legs_of(order: Sequence[int]) -> list[_Leg]:
 def _first_legs(lengths: FloatArray) -> list[_Leg]:
     """Return the legs (pairs of indices of places) that are solved first.
 
-    They are legs from each place to its nearest places, those of the shortest order, and legs of
-    many lengths. `lengths` [m] is infinite for a leg without a route.
+    They lead to the nearest places, belong to the shortest order, or sample the range of all
+    lengths.
     """
     near = [(k, int(j)) for k, row in enumerate(lengths) for j in np.argsort(row)[:_NEAREST]]
     (shortest,) = best_orders(lengths, 1)
@@ -295,7 +295,7 @@ def _first_legs(lengths: FloatArray) -> list[_Leg]:
 def _shortest_ways(scenario: Scenario) -> dict[_Leg, Route]:
     """Return the shortest route for each leg that an order of the waypoints may use.
 
-    A leg is a pair of indices of places. Legs for which zones block every route are left out.
+    Legs for which zones block every route are left out.
     """
     places, ways = scenario.mission.positions, {}
     last = len(places) - 1
@@ -369,11 +369,9 @@ class BestOrder:
         Parameters
         ----------
         solve : callable
-            Function that solves a scenario and returns a verified plan. Its first argument is the
-            scenario, with the waypoints in the cheapest order. Its second argument is the initial
-            guess, made from the solution on the coarse mesh; None if every solve on the coarse mesh
-            failed. Its third argument is the `Search` object, with the progress callback and the
-            time limit.
+            Takes the scenario in the cheapest order, an initial guess and the `Search` object.
+            Returns a verified plan. The guess comes from the solution on the coarse mesh, and is
+            None if every solve on the coarse mesh failed.
         """
         _, best, begun = min(self._flown, key=lambda entry: entry[0])
         ordered = in_order(self._scenario, best.order)
@@ -387,17 +385,8 @@ class BestOrder:
     def _leg(self, alone: Scenario, mesh: Mesh, route: Route | None) -> Solution:
         """Solve for the flight from one place of the mission to another, and return the solution.
 
-        The places are start, goal and waypoints of the mission.
-
-        Parameters
-        ----------
-        alone : Scenario
-            Scenario of this flight, without waypoints.
-        mesh : Mesh
-            Collocation mesh of the solve.
-        route : Route or None
-            Route round the keep-out zones, from which the initial guess is made. Without a route,
-            the initial guess is a straight flight.
+        `alone` is the scenario of this flight. The initial guess follows `route`; without a route,
+        it is a straight flight.
         """
         mission, guess = MissionProblem(self._problems, alone, self._search), None
         if route is not None:
@@ -408,9 +397,7 @@ class BestOrder:
     def _roughly(self, ordered: Scenario) -> Solution:
         """Return the solution of the mission on a coarse mesh, for one order of the waypoints.
 
-        `ordered` is the scenario with its waypoints in this order. If the solve fails and a
-        waypoint has a radius or a speed limit, an easier mission is solved instead, exactly through
-        the waypoints. All later orders are then solved as easier missions.
+        If the solve fails, it is the solution of an easier mission, exactly through the waypoints.
         """
         told = ordered.as_forecast()
         once = {"solver": told.solver.model_copy(update={"max_refinements": 0})}
@@ -423,7 +410,8 @@ class BestOrder:
             if not candidate.found.status.has_failed:
                 return candidate.found
         # A solve that fails for one order fails for all orders, so that all later orders start at
-        # exact passages of the waypoints at once.
+        # exact passages of the waypoints at once. This easier mission differs from the mission only
+        # if a waypoint has a radius or a speed limit.
         past = mission.past_waypoints
         self._is_plain = past is not None
         return candidate.found if past is None else past.solve_roughly()

@@ -1,10 +1,9 @@
 """Simulated flights that follow a solution on a coarse mesh under feedback, to make it flyable.
 
-Between its collocation points, the solution satisfies the equations of motion only approximately. A
-simulation of its controls in open loop therefore misses the goal. This module simulates the
-equations while a linear-quadratic regulator keeps the vehicle near the solution. The simulated
-states and controls satisfy the equations to the tolerance of the integrator. The energy of the
-simulated flight is close to that of the solution.
+Between its collocation points, the solution satisfies the equations of motion only approximately.
+Its controls alone would therefore miss the goal. This module simulates the equations while a
+linear-quadratic regulator keeps the vehicle near the solution. The simulated states and controls
+satisfy the equations, at an energy close to that of the solution.
 
 Derivation and sources: docs/theory/tracking.md, eqs. (1) to (4), (6) and (7).
 """
@@ -136,15 +135,14 @@ def tracked(
     -------
     Trajectories or None
         States, controls and energy of the flight, on the solution's mesh with long elements split.
-        Costates and Hamiltonian are interpolated. None if the vehicle cannot follow the solution,
-        so that a state grows beyond any physical value.
+        Costates and Hamiltonian are interpolated. None if a state grows beyond any physical value,
+        because the vehicle cannot follow the solution.
 
     Raises
     ------
     SolveError
         If the integrator fails, if the time limit of the enclosing `Deadline` has passed, or if one
-        element needs too many evaluations of the equations, as when the vehicle tumbles far from
-        its path.
+        element needs too many evaluations of the equations, for example if the vehicle tumbles.
     """
     start, end = coarse.horizon
     mesh = _split(coarse.mesh, end - start)
@@ -189,16 +187,8 @@ def tracked(
 class _Path:
     """Path that a simulated vehicle follows, on the mesh of its flight.
 
-    Attributes
-    ----------
-    mesh : Mesh
-        Mesh of the flight.
-    borders, points : ndarray
-        Times of the element boundaries and of the collocation points of the mesh [s].
-    states : ndarray, shape (n_elements + 1, n_states)
-        States of the path at the element boundaries.
-    controls : ndarray, shape (n_points, n_controls)
-        Controls at the collocation points, before corrections.
+    At the element boundaries `borders` [s], it has the states `states`. At the collocation points
+    `points` [s], it has the uncorrected controls `controls`.
     """
 
     mesh: Mesh
@@ -212,19 +202,18 @@ class _Path:
 class _Regulator:
     """Linear-quadratic regulator that keeps a simulated vehicle on its path.
 
-    Each array has one entry for each of n mesh elements. The equations are those of
-    docs/theory/tracking.md.
+    Each array has one entry for each of n mesh elements. Equations: docs/theory/tracking.md.
 
     Attributes
     ----------
     transitions, driven : ndarray, shapes (n, n_states, n_states), (n, n_states, n_controls)
-        Matrices F and G of eq. (2), the linearised equations of an element. A deviation d of the
-        states and a correction c of the controls give d_end = F d_start + G c.
+        Matrices F and G of eq. (2), d_end = F d_start + G c, for a deviation d of the states and a
+        correction c of the controls.
     gains : ndarray, shape (n, n_controls, n_states)
-        Feedback matrices K of eq. (4). The feedback is c = -K d_start.
+        Matrices K of eq. (4). The feedback is c = -K d_start.
     values : ndarray, shape (n, n_states, n_states)
-        Matrices P of eq. (4), one for the end of each element. If d is the deviation at this time,
-        d^T P d is the cost from this time to the end of the flight.
+        Matrices P of eq. (4), at the ends of the elements: d^T P d is the cost from there to the
+        end of the flight.
     inverses : ndarray, shape (n, n_controls, n_controls)
         Matrices (h R + G^T P G)^-1 of eq. (4), where h is the duration of the element and R has the
         weights of squared corrections.
@@ -240,17 +229,6 @@ class _Regulator:
         """Return the disturbances of the regulated system that a displacement of the path causes.
 
         The disturbance of element k is F aside[k] - aside[k + 1], with the matrix F of eq. (2).
-
-        Parameters
-        ----------
-        aside : ndarray, shape (n + 1, n_states)
-            Change of the path's states by the displacement, at the boundaries of the n mesh
-            elements.
-
-        Returns
-        -------
-        ndarray, shape (n, n_states)
-            Disturbance of the states in each element.
         """
         # This defect of the displaced path in the linearised equations acts like a known
         # disturbance of the states, which the regulator can anticipate.
@@ -259,10 +237,9 @@ class _Regulator:
 
 
 def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
-    """Return which of n times are within at least one of several spans of time.
+    """Return which of n times are within at least one of several spans of time, shape (n,).
 
-    `rests` has the start and end of each span [s], which belong to the span. The result has the
-    shape (n,).
+    The start and end of each span in `rests` [s] belong to it.
     """
     inside = [(times >= a - _SAME_S) & (times <= b + _SAME_S) for a, b in rests]
     return np.any(inside, axis=0) if inside else np.zeros(len(times), dtype=bool)
@@ -271,21 +248,7 @@ def _are_within(times: FloatArray, rests: Sequence[tuple[float, float]]) -> Any:
 def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
     """Return the changes of a path's states that demands cause, at the element boundaries.
 
-    Demands are changes of the path that a simulated vehicle follows: pushes, hovers and shifts.
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle.
-    path : _Path
-        Path of a coarse solution.
-    demands : Demands
-        Demanded changes of this path.
-
-    Returns
-    -------
-    ndarray, shape (n_elements + 1, n_states)
-        Changes of the states, in the order of `dynamics.state_names`.
+    The shape is (n_elements + 1, n_states), in the order of `dynamics.state_names`.
     """
     aside = np.zeros_like(path.states)
     # Pushes change position and velocity. The regulator finds the tilt that the displaced path
@@ -306,11 +269,11 @@ def _aside(dynamics: Dynamics, path: _Path, demands: Demands) -> FloatArray:
 
 
 def _split(mesh: Mesh, duration: float) -> Mesh:
-    """Return a mesh in which each element longer than `_LONGEST_S` [s] is split into equal parts.
+    """Return a mesh in which each element longer than `_LONGEST_S` is split into equal parts.
 
-    The regulator corrects the controls once in each element, so that short elements give closer
-    control. `duration` is the duration of the flight [s], which the mesh covers.
+    `duration` is the duration of the flight [s], which the mesh covers.
     """
+    # The regulator corrects the controls once in each element.
     return mesh.with_breakpoints(
         first + (last - first) * part / count
         for first, last in pairwise(mesh.breakpoints)
@@ -327,20 +290,7 @@ def _regulator(
 ) -> _Regulator:
     """Return the linear-quadratic regulator for the elements of a mesh.
 
-    Implements docs/theory/tracking.md, eqs. (2) to (4).
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle.
-    coarse : Trajectories
-        Solution about which the equations are linearised.
-    borders : ndarray, shape (n_elements + 1,)
-        Times of the element boundaries [s].
-    demands : Demands, optional
-        Changes of the path that the vehicle follows. During the demanded hovers, the regulator's
-        cost has a larger weight of the velocity. During a shift of a state, the cost has a larger
-        weight of this state.
+    `borders` are the element boundaries [s]. Implements docs/theory/tracking.md, eqs. (2) to (4).
     """
     n_states, n_controls = len(dynamics.state_names), len(dynamics.control_names)
     # The controls are declared as constant states of the control law, so that `slopes` also
@@ -364,6 +314,7 @@ def _regulator(
     # The rate of the yaw angle depends on all body rates of a tilted vehicle.
     turning = slopes[:, dynamics.state_names.index(_YAW), :n_states] / _TURNING
     weights = plain + turning[:, :, None] * turning[:, None, :]
+    # Velocities have a larger weight during demanded hovers, and states during their shifts.
     speeds = [dynamics.state_names.index(name) for name in VELOCITY_STATES]
     resting = np.flatnonzero(_are_within(borders[:-1], demands.rests))[:, None]
     weights[resting, speeds, speeds] += 1.0 / _AT_REST**2
@@ -393,22 +344,9 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
     """Return the disturbance of the states in each mesh element, from an earlier flight.
 
     It is d[k + 1] - (F d[k] + G c[k]) in element k, docs/theory/tracking.md, eq. (6). Here d is the
-    deviation from the path at the element boundaries, and c the correction of the controls.
-
-    Parameters
-    ----------
-    path : _Path
-        Path of the solution itself, without pushes and shifts.
-    regulator : _Regulator
-        Regulator with the linearised equations.
-    previous : Trajectories
-        The earlier flight.
-
-    Returns
-    -------
-    ndarray, shape (n_elements, n_states)
-        Disturbances of the states.
+    deviation from the path, and c the correction of the controls.
     """
+    # `path` is that of the solution itself, without pushes and shifts.
     deviation = previous.states_at(path.borders) - path.states
     corrections = (
         np.add.reduceat(previous.controls - path.controls, path.mesh.first_node[:-1], axis=0)
@@ -422,11 +360,9 @@ def _disturbances(path: _Path, regulator: _Regulator, previous: Trajectories) ->
 
 
 def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray:
-    """Return the corrections of the controls that anticipate disturbances known in advance.
+    """Return the corrections of the controls that anticipate known disturbances of the states.
 
-    `regulator` has the linearised equations and the feedback. `disturbances` has the known changes
-    of the states in each element, shape (n_elements, n_states). The result has the shape
-    (n_elements, n_controls). Implements docs/theory/tracking.md, eq. (7).
+    The shape is (n_elements, n_controls). Implements docs/theory/tracking.md, eq. (7).
     """
     commands = np.zeros(regulator.gains.shape[:2])
     ahead = np.zeros(disturbances.shape[1])
@@ -441,8 +377,7 @@ def _anticipating(regulator: _Regulator, disturbances: FloatArray) -> FloatArray
 def _weight(name: str) -> float:
     """Return the weight of a state's squared deviation in the linear-quadratic regulator's cost.
 
-    `name` is the name of the state. The weight is 0 for a state that may deviate freely from the
-    solution, such as the charge drawn from the battery.
+    It is 0 for a state that may deviate freely, such as the charge drawn from the battery.
     """
     if name.startswith(_ROTOR_SPEED):
         return 1.0 / _ROTOR_DEVIATION**2
@@ -454,26 +389,8 @@ def _followed(
 ) -> tuple[FloatArray, FloatArray] | None:
     """Simulate the vehicle under feedback along a path, one mesh element after the other.
 
-    The result is None if a state grows beyond any physical value. Implements
-    docs/theory/tracking.md, eq. (1).
-
-    Parameters
-    ----------
-    dynamics : Dynamics
-        Equations of the vehicle.
-    path : _Path
-        Path to follow.
-    regulator : _Regulator
-        Regulator with the feedback.
-    commands : ndarray, shape (n_elements, n_controls)
-        Corrections of the controls that anticipate known disturbances.
-
-    Returns
-    -------
-    ndarray, shape (n_points + 1, n_states + 1)
-        States and energy at the nodes.
-    ndarray, shape (n_points, n_controls)
-        Corrected controls at the collocation points.
+    The result is states and energy at the nodes, and the corrected controls; None if a state grows
+    beyond any physical value. Implements docs/theory/tracking.md, eq. (1).
     """
     mesh, controls = path.mesh, path.controls.copy()
     limits, held = dynamics.control_limits(), dynamics.control_limits(HELD_BREACH)

@@ -136,21 +136,24 @@ def verified(
         The required accuracy; by default the scenario's accuracy.
     least_energy : float, optional
         Least energy of the mission [J], with which the energy of the corrected plan is compared;
-        by default the energy of `plan`. Give it if the solution has stricter limits than the
-        mission, because the energy of `plan` then exceeds the least energy of the mission.
+        by default the energy of `plan`. A solution with stricter limits than the mission needs this
+        argument, because its energy exceeds the least energy.
     is_rough : bool, optional
-        Whether a usable plan is enough. A plan is usable if the simulation confirms it at a lower
-        accuracy than the required one.
+        Whether a usable plan is enough: a plan that the simulation confirms at lower accuracy.
 
     Returns
     -------
     Plan
-        The plan, with corrected controls, and with its attributes `verification` and `flown` (the
+        The plan with corrected controls, and with its attributes `verification` and `flown` (the
         simulated flight). If no correction is usable, `flown` has samples of the planned path or of
-        a flight under feedback. The status is `VERIFIED` if the simulation confirms the plan to the
-        required accuracy, the solve converged and, except at `proof`, the error estimate of the
-        energy is within its tolerance. Otherwise the status is `SOLVED`. If a simulation fails,
-        only status and message are changed.
+        a flight under feedback. The status is `VERIFIED` if all of these conditions hold, otherwise
+        it is `SOLVED`:
+
+        - The simulation confirms the plan to the required accuracy.
+        - The solve converged.
+        - The error estimate of the energy is within its tolerance (not required at `proof`).
+
+        If a simulation fails, only status and message are changed.
     """
     started = time.perf_counter()
     asked = accuracy or plan.scenario.solver.accuracy
@@ -189,41 +192,13 @@ def _corrected(
 ) -> tuple[Plan, Verification, Flown]:
     """Correct a plan's controls by feedback, and simulate the corrected controls.
 
-    The corrected controls are those of a simulated flight under feedback. If this flight misses its
-    tolerances, it is repeated up to four times, with the path changes that `_more_demands` returns.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan of a solution on a coarse mesh.
-    accuracy : Accuracy
-        The required accuracy.
-    wanted : ndarray, shape (n_states,)
-        Final states that the flight should reach.
-    least_energy : float
-        Least energy of the mission [J], with which the energy of the corrected plan is compared.
-    is_rough : bool
-        Whether the tolerances of a usable plan, wider than those of `accuracy`, are enough.
-
-    Returns
-    -------
-    Plan
-        Plan with corrected controls; the plan unchanged if the vehicle cannot follow it.
-    Verification
-        Comparison of the returned flight with limits and final states.
-    Flown
-        Samples of a flight: a simulation of the corrected controls without feedback. If every
-        flight under feedback exceeds even the tolerances of a usable plan, it is the last of these
-        flights.
-
-    Raises
-    ------
-    SolveError
-        If the first flight under feedback, or the simulation without feedback, fails.
+    If no flight under feedback is usable, the last of them is returned. Raises a SolveError if the
+    first flight under feedback, or the simulation without feedback, fails.
     """
     demands = NO_DEMANDS
     previous: Trajectories | None = None
     found: list[tuple[Plan, Verification, Flown]] = []
+    # A flight under feedback that misses its tolerances is repeated with changes of the path.
     while len(found) < _MOST_FLIGHTS:
         try:
             followed = _followed(plan, least_energy, demands, previous)
@@ -254,23 +229,11 @@ def _corrected(
 def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> Demands:
     """Return the path changes for the next simulated flight, after a flight that broke limits.
 
-    The new changes are:
-
-    - displacements out of the zones that the flight entered,
-    - shifts away from the limits on tilt, speed and rotor speeds that the flight exceeded,
-    - rest during all hovers, if the flight moved during a hover.
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan whose path is changed.
-    demands : Demands
-        Path changes of the flight that broke limits. The result includes them.
-    path : Flown
-        Samples of the flight that broke limits.
-    allowed : float
-        Tolerated violation of a limit, relative to the larger of 1 and the limit.
+    They include `demands`, the changes of that flight. `allowed` is the tolerated violation of a
+    limit, relative to the larger of 1 and the limit.
     """
+    # New changes are displacements out of zones, shifts away from limits on tilt, speed and rotor
+    # speeds, and rest during all hovers if the flight moved during a hover.
     rests, limits = demands.rests, limits_along(plan.dynamics, path)
     if not rests and moves_in_hovers(path, limits, allowed):
         begun = zip(plan.scenario.mission.waypoints, plan.passing_times_s, strict=True)
@@ -286,29 +249,18 @@ def _more_demands(plan: Plan, demands: Demands, path: Flown, allowed: float) -> 
 def _attainable(plan: Plan, wanted: FloatArray) -> FloatArray:
     """Return the final states that the flight of a corrected plan should reach, shape (n_states,).
 
-    The result is a copy of `wanted`, the final states of the solution. Only the states that measure
-    consumption, such as the charge drawn, have their final values in `plan`.
+    They are `wanted`, except for states that measure consumption, such as the charge drawn.
     """
     used = set(plan.dynamics.states_used_up)
     is_used = np.array([name in used for name in plan.dynamics.state_names])
-    # The mission does not prescribe the final consumption.
+    # The mission does not prescribe the final consumption; it is that of the plan.
     return np.where(is_used, plan.trajectories.states[-1], wanted)
 
 
 def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
     """Return the reason why a simulated plan does not reach the required accuracy, as a message.
 
-    The reason is a violated limit, or a possible excess over the least energy. If neither applies,
-    or if the accuracy is `proof`, the result is the message of the solve.
-
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    found : Verification
-        Comparison of the simulated flight with the plan.
-    accuracy : Accuracy
-        The required accuracy.
+    It is a violated limit, a possible excess over the least energy, or the message of the solve.
     """
     excess = plan.error_estimate
     if accuracy is Accuracy.PROOF or (found.is_verified and excess <= FIGURES[accuracy].energy):
@@ -323,26 +275,8 @@ def _why_not(plan: Plan, found: Verification, accuracy: Accuracy) -> str:
 def _flown(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Simulate a plan's controls in open loop, and compare the flight with the plan.
 
-    Parameters
-    ----------
-    plan : Plan
-        The plan.
-    accuracy : Accuracy
-        The required accuracy.
-    wanted : ndarray, shape (n_states,)
-        Final states that the flight should reach.
-
-    Returns
-    -------
-    Verification
-        Comparison with the plan, the limits and the final states.
-    Flown
-        Samples of the simulated flight.
-
-    Raises
-    ------
-    SolveError
-        If the integrator fails or the time limit passes.
+    `wanted` has the final states that the flight should reach. Raises a SolveError if the
+    integrator fails or the time limit passes.
     """
     held = plan.trajectories
     return verify_controls(
@@ -365,28 +299,10 @@ def _followed(
     demands: Demands,
     previous: Trajectories | None,
 ) -> Plan:
-    """Return a plan whose controls are corrected by feedback, so that they keep to the path.
+    """Return a plan whose controls are corrected by feedback, or `plan` if it cannot be followed.
 
-    States, controls and energy are those of a simulated flight under feedback. The error estimate
-    is max(e, abs(E - E_least) / E_least). Here e is the estimate of `plan`, E the energy of the
-    flight, and E_least is `least_energy`. See docs/theory/tracking.md, eq. (5).
-
-    Parameters
-    ----------
-    plan : Plan
-        Plan before the correction.
-    least_energy : float
-        Least energy of the mission [J].
-    demands : Demands
-        Changes of the path that the vehicle follows, relative to the path of `plan`.
-    previous : Trajectories or None
-        States and controls of an earlier flight along the path. The corrections anticipate the
-        deviations of this earlier flight.
-
-    Returns
-    -------
-    Plan
-        The corrected plan; `plan` itself if the vehicle cannot follow the path.
+    The error estimate is max(e, abs(E - E_least) / E_least), docs/theory/tracking.md, eq. (5). Here
+    e is the estimate of `plan`, and E the energy of the flight.
     """
     followed = tracked(plan.dynamics, plan.trajectories, demands, previous)
     if followed is None:
@@ -404,8 +320,7 @@ def _followed(
 def _as_planned(plan: Plan, accuracy: Accuracy, wanted: FloatArray) -> tuple[Verification, Flown]:
     """Compare the planned states with goal, limits and battery, without a simulation.
 
-    `accuracy` sets the tolerances, and `wanted` has the final states to be reached, shape
-    (n_states,). The function returns the comparison and samples of the planned path.
+    `wanted` has the final states to be reached, shape (n_states,).
     """
     path = path_of(plan, accuracy)
     return compared(plan.dynamics, path, plan.energy, wanted, plan.passages, accuracy), path

@@ -64,8 +64,8 @@ def fly_controls(
 ) -> Flown:
     """Simulate the controls of a plan in open loop.
 
-    The controls are piecewise polynomials on a mesh. They are clipped slightly beyond their limits,
-    at the relative excess `HELD_BREACH`.
+    The controls are polynomials in each mesh element. They are clipped at their limits, which are
+    first widened by `HELD_BREACH` * max(1, abs(limit)).
 
     Parameters
     ----------
@@ -80,14 +80,13 @@ def fly_controls(
     horizon : (float, float)
         Start and end time [s].
     samples_per_element : int or sequence of ndarray, optional
-        Number of equally spaced samples in each mesh element. Alternatively, an array for each
-        element with the fractions of the element at which samples are taken, increasing and ending
-        with 1.
+        Number of equally spaced samples in each element, or for each element an array of increasing
+        fractions of the element that ends with 1.
     method : str, optional
         Method of `scipy.integrate.solve_ivp`.
     integration : float, optional
         Relative and absolute tolerance of the integrator. In flights longer than 30 s, the relative
-        tolerance is smaller.
+        tolerance decreases with the fourth power of the duration.
 
     Returns
     -------
@@ -150,8 +149,9 @@ def rates_in_element(
 ) -> Rates:
     """Return the right-hand side of the equations of motion for a simulation of one mesh element.
 
-    A parameter may jump at the start of the element, for example when a payload is released. To use
-    the value after the jump, the equations have the parameter values at `inside` before that time.
+    Before the time `inside`, the parameters have their values at `inside`. A parameter that jumps
+    at the start of the element, such as the mass when a payload is released, thus has its value
+    after the jump.
 
     Parameters
     ----------
@@ -219,20 +219,19 @@ class Verification:
     passing_misses_m : tuple of float
         For each waypoint, the distance by which the flight passes outside its radius [m].
     battery_imbalance : float
-        Largest fraction of the required power or charge that the battery cannot supply.
+        Larger result of `shares_lacking`: the fraction of the power that the battery cannot supply,
+        or the charge drawn beyond an empty battery as a fraction of the capacity.
     voltage_lacking : float
         Largest fraction of a motor's voltage that the battery cannot supply; negative if the
         battery always supplies more than needed.
     is_verified : bool
         Whether all deviations and shortfalls are within the tolerances of the required accuracy.
     is_usable : bool
-        Whether all deviations and shortfalls are within the tolerances of a usable plan
-        (`scenario.accuracy.USABLE`). These equal the tolerances of the lowest accuracy, with a
-        wider tolerance for the final states.
+        Like `is_verified`, with the tolerances `scenario.accuracy.USABLE`: those of the lowest
+        accuracy, with a wider tolerance for the final states.
     reached : Accuracy or None
-        The highest accuracy level that the flight reaches, up to the required accuracy. A level is
-        reached if all deviations and shortfalls are within its tolerances. None if no level is
-        reached.
+        The highest accuracy level, up to the required one, with all deviations and shortfalls
+        within its tolerances. None if no level is reached.
     """
 
     terminal_miss: Mapping[str, float]
@@ -276,9 +275,8 @@ class Verification:
 def voltage_lacking(dynamics: Dynamics, flown: Flown) -> float:
     """Return the largest fraction of a motor's voltage that the battery cannot supply in a flight.
 
-    The fraction is (needed - supplied) / needed, for the motor that needs most. It is negative if
-    the battery always supplies more than needed, and 0 if the model has no motor voltage or no
-    battery voltage. `flown` has the samples of the flight.
+    The fraction is (needed - supplied) / needed. It is negative if the battery always supplies more
+    than needed, and 0 for a model without motor voltage or battery voltage.
     """
     if not dynamics.has(_MOTOR_VOLTAGE) or not dynamics.has(_VOLTAGE):
         return 0.0
@@ -315,15 +313,11 @@ def wind_lacking(scenario: Scenario, dynamics: Dynamics, flown: Flown) -> str:
 def shares_lacking(dynamics: Dynamics, flown: Flown) -> tuple[float, float]:
     """Return the largest fractions of power and charge that the battery cannot supply in a flight.
 
-    The equations of the model have finite values even beyond the battery's greatest power or
-    charge. This function measures the excess. `flown` has the samples of the flight.
-
     Returns
     -------
     (float, float)
-        First, the largest fraction of the required power that the battery cannot supply. Second,
-        the charge drawn beyond an empty battery, as a fraction of the capacity; negative if charge
-        remains. Both are zero for a model without a battery.
+        Results of `balance_lacking` for the samples of the flight; zeros for a model without a
+        battery.
     """
     if not has_balance(dynamics):
         return 0.0, 0.0
@@ -334,19 +328,18 @@ def has_balance(dynamics: Dynamics) -> bool:
     """Return whether the model has a battery whose power balance can be checked.
 
     The power balance states that the power drawn equals voltage times current of the battery.
-    `dynamics` has the equations of the model.
     """
     return all(dynamics.has(name) for name in _BALANCE)
 
 
 def balance_lacking(balance: FloatArray) -> tuple[float, float]:
-    """Return the largest fractions of power and charge that the battery cannot supply in a flight.
+    """Return the largest fractions of power and charge that a battery lacks at given times.
 
     Parameters
     ----------
     balance : ndarray, shape (n, 4)
-        Power drawn [W], and voltage [V], current [A] and state of charge [%] of the battery, at n
-        times of the flight. The constant `BALANCE_KEYS` has the names of these four columns.
+        Power drawn [W], voltage [V], current [A] and state of charge [percent] of the battery at n
+        times: the columns of `BALANCE_KEYS`.
 
     Returns
     -------
@@ -355,15 +348,14 @@ def balance_lacking(balance: FloatArray) -> tuple[float, float]:
         drawn beyond an empty battery, as a fraction of the capacity; negative if charge remains.
     """
     power, voltage, current, charge = balance.T
+    # The battery's equations keep voltage and current finite beyond the greatest power of the pack.
+    # Their product is then less than the power.
     lacking = np.abs(power - voltage * current) / np.maximum(1.0, np.abs(power))
     return float(np.max(lacking)), float(-np.min(charge) / 100.0)
 
 
 def _equal_shares(count: int) -> FloatArray:
-    """Return the ends of ``count`` equal parts of a mesh element, as fractions of the element.
-
-    The result increases, ends with 1 and has shape (count,). A flight is sampled at these ends.
-    """
+    """Return the ends of ``count`` equal parts of a mesh element, as fractions, shape (count,)."""
     return np.linspace(0.0, 1.0, count + 1)[1:]
 
 
@@ -383,7 +375,7 @@ def samples_of_path(
 
     All elements have equally spaced samples. If the path between two nodes may reach a zone,
     samples at most `spacing` [m] apart are added. If it may reach a height limit over terrain, the
-    added samples are at most a small fraction of a grid step apart.
+    added samples are at most 1/20 of a step of the terrain grid apart.
 
     Parameters
     ----------
@@ -450,11 +442,7 @@ class Passage:
 
 
 def _passing_miss(dynamics: Dynamics, flown: Flown, passage: Passage) -> float:
-    """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0.
-
-    `dynamics` has the names of the states, `flown` the samples of the flight, and `passage` the
-    waypoint with its passing time.
-    """
+    """Return the distance by which a flight passes outside the radius of a waypoint [m], or 0."""
     nearest = int(np.argmin(np.abs(flown.t - passage.time_s)))  # an element ends there
     columns = [dynamics.state_names.index(name) for name in POSITION_STATES]
     off = np.linalg.norm(flown.states[nearest, columns] - passage.position)
@@ -604,7 +592,7 @@ _HEADING = "mission.yaw_keeping"
 def is_of_airspace(breach: Violation) -> bool:
     """Return whether a violated limit belongs to the airspace: a zone, the fence, floor or ceiling.
 
-    `breach` is the violation. The unit of these violations is m.
+    The amount of the violation is then in m.
     """
     return breach.name.startswith("airspace.")
 
@@ -631,41 +619,25 @@ def beyond(breaches: Iterable[Violation], figures: Figures) -> tuple[Violation, 
 
 @dataclass(frozen=True, kw_only=True)
 class _Found:
-    """Largest errors of a simulated flight compared with its plan.
+    """Largest errors of a simulated flight compared with its plan."""
 
-    Attributes
-    ----------
-    miss : float
-        Largest miss at the goal or at a waypoint. A miss at the goal is the deviation of a final
-        state from the plan, divided by max(1, abs(planned value)). A miss at a waypoint is
-        the distance by which the flight passes outside the waypoint's radius [m].
-    breaches : tuple of Violation
-        Violations of limits.
-    energy : float
-        Deviation of the energy from the plan, divided by max(1 J, planned energy).
-    lacking : float
-        Largest of the fractions of power, charge and motor voltage that the battery cannot supply.
-    """
-
+    # Largest of the deviations of the final states from the plan, each divided by max(1,
+    # abs(planned value)), and the distances by which the flight passes outside the radius of a
+    # waypoint [m].
     miss: float
     breaches: tuple[Violation, ...]
+    # Deviation from the planned energy, divided by max(1 J, planned energy).
     energy: float
+    # Largest fraction of power, charge or motor voltage that the battery cannot supply.
     lacking: float
 
     def reached(self, asked: Accuracy) -> Accuracy | None:
-        """Return the highest accuracy level, up to `asked`, that the flight reaches.
-
-        A level is reached if all errors are within its tolerances. The result is None if the flight
-        reaches no level.
-        """
+        """Return the highest accuracy level, up to `asked`, that the flight reaches, or None."""
         met = [a for a in Accuracy if asked.meets(a) and self.meets(FIGURES[a])]
         return met[-1] if met else None
 
     def meets(self, figures: Figures) -> bool:
-        """Return whether all errors of the flight are within the tolerances of an accuracy level.
-
-        `figures` has these tolerances.
-        """
+        """Return whether all errors are within the tolerances of an accuracy level."""
         return bool(
             self.miss <= figures.miss
             and not beyond(self.breaches, figures)

@@ -70,13 +70,12 @@ def draw(planner: Planner, scenario: Scenario, count: int, seed: int) -> tuple[D
     Returns
     -------
     Dynamics
-        Equations of the vehicle for all flights, with parameter values without random errors. With
+        Equations of the vehicle for all flights, with parameter values free of random errors. With
         turbulence or uncertain quantities, the states include those of the turbulence filters.
     Draws
-        For each flight, the parameter values with random errors, and the noise and initial states
-        of the turbulence filters; empty without turbulence and uncertain quantities. The random
-        numbers depend only on the seed and the index of the flight: further flights or a longer
-        duration leave them unchanged.
+        Random parameter values, filter noise and initial filter states of each flight. They are
+        empty if the scenario has neither turbulence nor uncertain quantities. The random numbers of
+        a flight depend only on the seed and the index of the flight.
     """
     told = scenario.as_forecast().wind
     if told.speed_deviation or told.direction_deviation:
@@ -130,8 +129,7 @@ def problem_in_turbulence(scenario: Scenario) -> Problem:
 def as_expected(scenario: Scenario) -> Scenario:
     """Return a copy of a scenario whose wind is the forecast wind, with turbulence.
 
-    Plans are made for the forecast wind. The turbulence of the copy is the turbulence of the actual
-    wind in `scenario`.
+    Plans are made for the forecast wind. The turbulence is that of the wind in `scenario`.
     """
     told = scenario.as_forecast()
     turbulence = {"turbulence": scenario.wind.turbulence}
@@ -142,7 +140,8 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     """Return the change of the model's parameters by one standard deviation of each uncertainty.
 
     The uncertain quantities are speed and direction of the wind, mass, and hover power. A quantity
-    is left out if the scenario gives no standard deviation for it, the direction also in calm air.
+    without standard deviation in the scenario is left out. In calm air, the direction is left out,
+    too.
 
     Parameters
     ----------
@@ -154,9 +153,8 @@ def unknowns(planner: Planner, scenario: Scenario) -> tuple[dict[str, float], ..
     Returns
     -------
     tuple of dict
-        One dictionary for each uncertain quantity: full name of a parameter -> change of the
-        parameter's value. The parameters are those of the equations that `problem_in_turbulence`
-        compiles.
+        One dictionary for each uncertain quantity: full name of a parameter of
+        `problem_in_turbulence` -> change of the parameter's value.
     """
     told = scenario.as_forecast()
     along, aside = mean_wind(told).tolist()

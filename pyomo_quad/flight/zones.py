@@ -1,10 +1,8 @@
 """Geometry of keep-out zones near a leg: intersections, sides of passage, and points round a zone.
 
 A leg is the line between two waypoints. The side on which a route passes a zone is determined where
-the route crosses a vertical plane across the leg. If the leg enters the zone, the plane goes
-through the middle of the part of the leg inside the zone. If the leg stays outside, the plane goes
-through the point of the leg nearest to the zone. A plane through the centre of the zone would not
-do: it may lie before the start of the leg or beyond its goal, so that a route need not cross it.
+the route crosses a vertical plane across the leg. If the leg enters the zone, the plane halves the
+part of the leg inside. Otherwise, the plane goes through the point of the leg nearest to the zone.
 """
 
 from collections.abc import Sequence
@@ -85,23 +83,9 @@ def are_blocked(
 def _spans_inside(
     zone: KeepOut, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where n straight lines enter and leave a keep-out zone enlarged by its clearance.
+    """Return the fractions of n lines at which they enter and leave a zone with its clearance.
 
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-    starts, ends : ndarray, shape (n, 3)
-        Ends of the lines [m].
-    clearance : float
-        Distance kept from the zone [m].
-
-    Returns
-    -------
-    entries, exits : ndarray, shape (n,)
-        Fractions of each line, 0 at its start and 1 at its end. The lines are extended beyond both
-        ends, so that fractions below 0 and above 1 occur. If a line misses the zone, its exit is
-        smaller than its entry.
+    The lines extend beyond both ends. If a line misses the zone, its exit is less than its entry.
     """
     entered, left = np.full(len(starts), -inf), np.full(len(starts), inf)
     for ball in zone.balls:
@@ -113,26 +97,9 @@ def _spans_inside(
 def _span_inside(
     ball: Ball, starts: FloatArray, ends: FloatArray, clearance: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return where n straight lines enter and leave a ball enlarged by a clearance.
+    """Return the fractions of n lines at which they enter and leave a ball enlarged by a clearance.
 
-    A ball is an interval of one coordinate, a disc in two coordinates or a sphere in three. A zone
-    is the intersection of its balls.
-
-    Parameters
-    ----------
-    ball : Ball
-        The ball.
-    starts, ends : ndarray, shape (n, 3)
-        Ends of the lines [m].
-    clearance : float
-        Distance kept from the ball [m].
-
-    Returns
-    -------
-    entries, exits : ndarray, shape (n,)
-        Fractions of each line, 0 at its start and 1 at its end. The lines are extended beyond both
-        ends, so that fractions below 0 and above 1 occur. If a line misses the ball, its entry is 1
-        and its exit is 0.
+    If a line misses the ball, its entry is 1 and its exit is 0.
     """
     away = ball.coordinates(starts) - ball.centre
     along = ball.coordinates(ends - starts)
@@ -155,7 +122,7 @@ def sides_passed(
     """Return the side on which each of n straight lines passes a keep-out zone.
 
     The side is determined where a line crosses the vertical plane across the leg. The docstring of
-    this module defines the plane; its "zone" is the zone enlarged by `clearance`.
+    this module defines the plane. Here, the zone is enlarged by `clearance`.
 
     Parameters
     ----------
@@ -171,8 +138,8 @@ def sides_passed(
     Returns
     -------
     ndarray of int, shape (n,)
-        For each line, the index of its side in the enumeration `Side`, or -1 if the line does not
-        cross the plane. All items are -1 if the plane goes through an end of the leg.
+        For each line, the index of its side in `Side`, or -1 if the line does not cross the plane.
+        If the plane goes through an end of the leg, all items are -1.
     """
     section = _section(zone, ends, clearance)
     if section is None:
@@ -188,11 +155,7 @@ def sides_passed(
 
 
 class _Section(NamedTuple):
-    """Cross-section of a keep-out zone in a vertical plane across a leg near the zone.
-
-    It determines on which side a route passes the zone. The docstring of this module defines the
-    plane.
-    """
+    """Cross-section of an enlarged keep-out zone in the vertical plane that the module defines."""
 
     middle: FloatArray
     """Centre of the cross-section [m], shape (3,). The unit vectors `along` the horizontal course,
@@ -207,28 +170,16 @@ class _Section(NamedTuple):
 
 
 def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | None:
-    """Return the cross-section of a keep-out zone in a vertical plane across a leg near the zone.
+    """Return the cross-section of an enlarged keep-out zone in the plane that the module defines.
 
-    The docstring of this module defines the plane; its "zone" is the zone enlarged by `clearance`.
-
-    Parameters
-    ----------
-    zone : KeepOut
-        The zone.
-    ends : ndarray, shape (2, 3)
-        Ends of the leg [m].
-    clearance : float
-        Distance kept from the zone [m].
-
-    Returns
-    -------
-    _Section or None
-        The cross-section; None if the plane goes through an end of the leg.
+    The result is None if the plane goes through an end of the leg.
     """
     share, reach = _passage(zone, ends, clearance)
     if not ROUNDING < share < 1.0 - ROUNDING:
         return None
     along, left, up = _frame(ends)
+    # Not the centre of the zone: it may lie before the start of the leg or beyond its goal, and a
+    # route need not cross a plane there.
     middle = ends[0] + share * (ends[1] - ends[0])
     middle, _ = _chord(zone, middle, left, reach)
     # This chord and the next are the longest ones, also in a round section.
@@ -238,12 +189,9 @@ def _section(zone: KeepOut, ends: FloatArray, clearance: float) -> _Section | No
 
 
 def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, float]:
-    """Return the place at which a leg passes a keep-out zone, and the clearance used [m].
+    """Return the fraction of a leg at which it passes a keep-out zone, and the clearance used [m].
 
-    The place is a fraction of the leg `ends`, shape (2, 3) [m]: the middle of the part that is
-    closer to the zone than `clearance` [m]. If there is no such part, the place is the point
-    nearest to the zone. The clearance is then raised until the enlarged zone reaches this point,
-    and by `MARGIN_M` beyond.
+    If the leg stays outside, the clearance is raised until the zone enlarged by it reaches the leg.
     """
 
     def span(reach: float) -> tuple[float, float]:
@@ -260,6 +208,7 @@ def _passage(zone: KeepOut, ends: FloatArray, clearance: float) -> tuple[float, 
         first, last = span(middle)
         short, reach = (short, middle) if last > first else (middle, reach)
     first, last = span(reach)
+    # With this clearance, the zone extends `MARGIN_M` beyond the point of the leg nearest to it.
     return (first + last) / 2, reach + MARGIN_M
 
 
@@ -268,8 +217,7 @@ def _chord(
 ) -> tuple[FloatArray, float]:
     """Return the midpoint, shape (3,), and half the length [m] of a line's part inside a zone.
 
-    The line passes through `place` in the direction of the unit vector `direction`. The zone is
-    enlarged by the clearance `reach` [m].
+    `direction` is a unit vector. The zone is enlarged by the clearance `reach` [m].
     """
     (first,), (last,) = _spans_inside(zone, place[None], (place + direction)[None], reach)
     return place + (first + last) / 2 * direction, float(last - first) / 2
@@ -278,9 +226,8 @@ def _chord(
 def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return unit vectors along a leg, to its left and up, each of shape (3,).
 
-    The first vector is the horizontal direction of the leg. If the leg is vertical, the first
-    vector points up, and the other two are horizontal. `ends` has start and end of the leg, shape
-    (2, 3) [m].
+    The first is horizontal. If the leg is vertical, the first points up and the other two are
+    horizontal.
     """
     upward = np.array([0.0, 0.0, 1.0])
     # Horizontal, so that a route beside a tall zone passes it on the left or right, even if the leg
@@ -296,8 +243,7 @@ def _frame(ends: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 def _places_along(zone: KeepOut, reach: float, near: FloatArray) -> FloatArray:
     """Return points on the outline of a polygonal zone enlarged by ``reach`` [m], shape (m, 2) [m].
 
-    The points are the corners of the outline and, on each edge, the point nearest to each place of
-    ``near``, shape (n, 3) [m].
+    They are its corners and, on each edge, the point nearest to each of the places ``near``.
     """
     ring = zone.ring(reach)
     following = np.roll(ring, -1, axis=0)

@@ -43,11 +43,7 @@ _CURRENTS, _VOLTAGES = ("current_a", "current_average_a"), ("voltage_v", "voltag
 
 @contextmanager
 def _reader_errors(autopilot: str, package: str) -> Iterator[None]:
-    """Turn errors of another package's log reader into a ScenarioError of one line.
-
-    Text that the reader prints is suppressed. Errors of the file system and a lack of memory pass
-    unchanged. The messages name the `autopilot` and the reader's `package`.
-    """
+    """Turn errors of another package's log reader into a ScenarioError, and suppress its output."""
     try:
         with redirect_stdout(StringIO()):
             yield
@@ -72,26 +68,8 @@ def _seconds_aloft(
 ) -> pd.DataFrame:
     """Average the samples of a log over each second in flight.
 
-    Parameters
-    ----------
-    seconds : ndarray, shape (n,)
-        Times of the samples [s].
-    is_flying : ndarray of bool, shape (n,)
-        Whether the vehicle is in the air.
-    density : ndarray, shape (n,)
-        Air density [kg/m³].
-    power : ndarray, shape (n,)
-        Power drawn from the battery pack [W].
-    velocity : sequence of ndarray
-        Velocity over ground: north, east and up [m/s].
-    wind : sequence of ndarray
-        Wind velocity: toward north and east [m/s].
-
-    Returns
-    -------
-    DataFrame
-        One row for each second in flight, with the columns of a flight log except the flight's
-        name. The mapping `identification.columns.COLUMNS` lists the columns.
+    The velocities [m/s] are north, east and up; the wind [m/s] blows toward north and east. The
+    result lacks the column with the flight's name.
     """
     air = (speed - blowing for speed, blowing in zip(velocity, wind, strict=False))
     frame = pd.DataFrame(
@@ -122,15 +100,15 @@ def read_ulog(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each second, with the columns of a flight log, which the mapping
-        `identification.columns.COLUMNS` lists. All airborne rows count as cruise, and the payload
-        is 0. If the log has no barometer, the air density at sea level is assumed.
+        One row for each second, with the columns of `identification.columns.COLUMNS`. All airborne
+        rows count as cruise with payload 0. Without a barometer, the air density at sea level is
+        assumed.
 
     Raises
     ------
     ScenarioError
         If the package `pyulog` is missing, or if the log is damaged, has no battery current, or
-        lacks a required topic (table of the log) or field (column of a topic).
+        lacks a required topic or field.
     """
     with _reader_errors("PX4", "pyulog"), file.open("rb") as stream:
         from pyulog import ULog  # noqa: PLC0415  an extra
@@ -147,23 +125,10 @@ def read_ulog(file: Path) -> pd.DataFrame:
 
 
 def _field(topics: dict[str, Topic], topic: str, *names: str) -> FloatArray:
-    """Return the values of one field in a PX4 log, in the order of time.
+    """Return the values of a field (column) of a topic (table) in a PX4 log, in the order of time.
 
-    A log consists of tables, called topics. Each column of a topic is a field.
-
-    Parameters
-    ----------
-    topics : dict
-        Tables of the log, by name of the topic.
-    topic : str
-        Name of the topic that has the field.
-    *names : str
-        Names of the field in different versions of PX4. The first name that the topic has is used.
-
-    Raises
-    ------
-    ScenarioError
-        If the log has no such topic, or the topic has none of the names.
+    `names` are the field's names in different versions of PX4. A missing field raises a
+    ScenarioError.
     """
     if topic not in topics:
         raise ScenarioError(f"has no topic {topic}; log it.")
@@ -219,9 +184,9 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each second, with the columns of a flight log, which the mapping
-        `identification.columns.COLUMNS` lists. All airborne rows count as cruise, and the payload
-        is 0. If the log has no barometer, the air density at sea level is assumed.
+        One row for each second, with the columns of `identification.columns.COLUMNS`. All airborne
+        rows count as cruise with payload 0. Without a barometer, the air density at sea level is
+        assumed.
 
     Raises
     ------
@@ -247,19 +212,9 @@ def read_ardupilot(file: Path) -> pd.DataFrame:
 
 
 def _first_of(message: pd.DataFrame, name: str, *needed: str) -> pd.DataFrame:
-    """Return the rows of an ArduPilot message table that the first sensor or filter has written.
+    """Return the rows of an ArduPilot message table from the sensor or filter of lowest number.
 
-    Several sensors, or several instances of the Kalman filter, may write the same kind of message.
-    The first is the one with the least number.
-
-    Parameters
-    ----------
-    message : DataFrame
-        All logged messages of one kind, with one column for each field.
-    name : str
-        Name of the kind of message, for the error message if a needed field is missing.
-    *needed : str
-        Fields that `message` must have.
+    If a field of `needed` is missing, a ScenarioError is raised.
     """
     if not {"TimeUS", *needed} <= set(message):
         raise ScenarioError(
@@ -306,8 +261,7 @@ def _ardupilot_by_second(messages: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 def _is_flying(events: pd.DataFrame, times: FloatArray) -> NDArray[np.bool_]:
     """Return whether the vehicle flies at each time, by the land detector of an ArduPilot log.
 
-    `times` are in microseconds, as in the log's table `events`. If the land detector has logged no
-    events, the result is True at all times.
+    `times` are in microseconds. Without events of the land detector, the result is always True.
     """
     if not {"TimeUS", "Id"} <= set(events):
         return np.ones(len(times), dtype=bool)

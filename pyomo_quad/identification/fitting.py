@@ -2,9 +2,9 @@
 
 Method: robust least squares; see docs/theory/identification.md, eqs. (2) to (4).
 
-A residual is the mean computed power minus the mean measured power in a time window of some
-seconds. A single row of the log (one second) would not do, because noise dominates its airspeed and
-acceleration. Large residuals, as from gusts or ground effect, count linearly instead of
+A residual is the mean computed power minus the mean measured power in a time window of 10 s. The
+power is averaged because noise dominates the airspeed and the acceleration in a single row of the
+log. Large residuals, for example in gusts or ground effect, count linearly instead of
 quadratically.
 """
 
@@ -152,8 +152,8 @@ class Identification:
         slow flights.
     together : tuple of (str, str)
         One pair of names for each parameter that the flights do not determine: its own name, and
-        the name of the parameter with the most similar effect on the power. The second name is ""
-        if no effect is similar.
+        that of the parameter with the most similar effect on the power, or "" if no effect is
+        similar.
     cautions : tuple of str
         Warnings that the rows are too few or too far apart in time.
     """
@@ -320,8 +320,8 @@ class Fit:
         """Repeat the fit for random draws of the flights (bootstrap), to estimate its uncertainty.
 
         Each draw chooses as many flights as the log has, with replacement. The draws are seeded:
-        equal input gives equal draws. The power is linearised about `values`. See
-        docs/theory/identification.md, eq. (4).
+        equal input gives equal draws. To save time, the fits use the power linearised about
+        `values`. See docs/theory/identification.md, eq. (4).
 
         Parameters
         ----------
@@ -414,44 +414,21 @@ def _bounds(name: str) -> tuple[float, float]:
 
 
 def _most_drag(scenario: Scenario, frame: pd.DataFrame, power: int) -> float:
-    """Return the upper bound of a drag coefficient in the fit.
+    """Return the upper bound of a drag coefficient in the fit [kg/s or kg/m].
 
-    With this coefficient, the drag at the largest airspeed in the log, at least 1 m/s, equals the
-    weight without payload: the vehicle is tilted by 45° in level flight at this airspeed.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the vehicle.
-    frame : DataFrame
-        Rows of the log.
-    power : int
-        Exponent of the airspeed in the drag: 1 for linear and 2 for quadratic drag.
-
-    Returns
-    -------
-    float
-        Coefficient of linear drag [kg/s] or of quadratic drag [kg/m].
+    With this coefficient, drag equals weight at the largest airspeed of the log: the vehicle tilts
+    by 45° in level flight.
     """
     north, east = (frame[name].to_numpy() for name in AIR_VELOCITY)
     fastest = float(np.hypot(north, east).max()) * scenario.vehicle.anemometer_factor
+    # `power` is the exponent of the airspeed in the drag, 1 or 2.
     return scenario.vehicle.mass * scenario.gravity / max(fastest, 1.0) ** power
 
 
 def _windows(frame: pd.DataFrame) -> NDArray[np.int64]:
-    """Assign each row of a log to a time window of 10 s, over which the power is averaged.
+    """Return the number of the 10 s time window of each row of a log, shape (n_rows,).
 
     No window spans two flights or two phases of a flight, such as take-off and cruise.
-
-    Parameters
-    ----------
-    frame : DataFrame
-        Rows of the log.
-
-    Returns
-    -------
-    ndarray of int, shape (n_rows,)
-        Number of the time window to which each row belongs.
     """
     stretch = [frame[FLIGHT], frame[PHASE]]
     since = frame[TIME] - frame.groupby(stretch, sort=False)[TIME].transform("min")
@@ -493,10 +470,9 @@ def undetermined(fit: Fit) -> tuple[str, ...]:
 
 
 def _size(fit: Fit) -> FloatArray:
-    """Return the least magnitude of each parameter for the test of the function `undetermined`.
+    """Return the least magnitude of each parameter in `undetermined`, in the unit of the parameter.
 
-    The test changes a parameter p by a fraction of max(abs(p), least magnitude), so that it changes
-    p = 0, too. The result has shape (n,) and the units of the parameters.
+    The test in `undetermined` changes a parameter p in proportion to max(abs(p), least magnitude).
     """
     return np.array([_SMALL_DRAG if name in _OF_MOTION else _SHARE for name in fit.names])
 
@@ -516,9 +492,8 @@ def confounded(fit: Fit, lost: Sequence[str]) -> tuple[tuple[str, str], ...]:
     Returns
     -------
     tuple of (str, str)
-        One pair for each undetermined parameter: its own name, and the name of the parameter with
-        the most similar effect. The second name is "" if no effect is similar, or if the
-        undetermined parameter has no effect.
+        One pair for each undetermined parameter: its own name, and that of the parameter with the
+        most similar effect, or "" if no effect is similar.
     """
     slopes = fit.slopes(fit.base)
     norms = np.linalg.norm(slopes, axis=0)
@@ -555,7 +530,8 @@ def identify(
     Raises
     ------
     ScenarioError
-        If there is only one flight, or if no attitude and thrust give a logged acceleration.
+        If there is only one flight, or if no attitude and thrust of the vehicle produce a logged
+        acceleration.
     """
     flights = frame[FLIGHT].unique()
     if len(flights) < 2:
@@ -589,20 +565,7 @@ def identify(
 def _cautions(scenario: Scenario, fit: Fit, values: FloatArray, draws: FloatArray) -> Iterator[str]:
     """Yield warnings if the log has too few rows, or if its rows are too far apart in time.
 
-    The rows are too far apart if a fit to every second row changes a parameter by more than two
-    standard deviations and by more than 5 %. Logs of more than 5000 rows are not tested for this.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the vehicle before the fit.
-    fit : Fit
-        Least-squares problem, which holds the rows of the log.
-    values : ndarray, shape (n,)
-        Parameters fitted to all flights.
-    draws : ndarray, shape (n_draws, n)
-        Parameters fitted to random draws of the flights, one row for each draw. The spread of a
-        column gives the standard deviation of a parameter.
+    A fit to every second row shows whether the rows are too far apart.
     """
     frame = fit.frame
     flights, rows = frame[FLIGHT].nunique(), len(frame)
@@ -653,8 +616,7 @@ def _parameters(
 def _base_source(scenario: Scenario, field: str) -> str:
     """Return the source, in words, of the value that a vehicle's field had before the fit.
 
-    `field` is the field's dotted path, such as ``vehicle.drag_linear``. For a vehicle of the
-    library, the words are quoted from the vehicle's file.
+    `field` is a dotted path, such as ``vehicle.drag_linear``.
     """
     vehicle, kind = scenario.vehicle.use, "vehicles"
     if vehicle in library_names(kind):

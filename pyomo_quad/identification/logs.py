@@ -87,7 +87,7 @@ def read_logs(file: Path) -> pd.DataFrame:
     ------
     ScenarioError
         If the file cannot be read, lacks a column, or holds values that no flight can have. The
-        message ends with a list of the columns that a log has, with their units.
+        message lists the required columns.
     """
     try:
         return _read_rows(file)
@@ -241,24 +241,10 @@ def _read(file: Path, source: str) -> pd.DataFrame:
 
 
 def _wanted(names: Iterable[str]) -> dict[str, str]:
-    """Find the needed columns of a log, which may have one of several accepted names.
+    """Map the names of the needed columns in a log to their names in `COLUMNS`.
 
-    Parameters
-    ----------
-    names : iterable of str
-        Names of all columns of the log.
-
-    Returns
-    -------
-    dict
-        Name of each needed column in the log -> name of the column in the package. The package's
-        names are the keys of the mapping `identification.columns.COLUMNS`. Voltage and current are
-        added if the log has them. With both, the power is not needed.
-
-    Raises
-    ------
-    ScenarioError
-        If a column is missing.
+    A missing column raises a ScenarioError. The power may be missing if voltage and current are
+    present.
     """
     held = set(names)
     found = {name: name for name in _ELECTRIC if name in held}
@@ -318,11 +304,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _refuse_kind(name: str, kind: pa.DataType, *, is_text: bool) -> None:
-    """Raise an error if a Parquet column has a type that is not permitted.
-
-    Numbers are permitted, and also text if `is_text` is true. `name` is the column's name, and
-    `kind` its type.
-    """
+    """Raise an error if a Parquet column holds neither numbers nor, if `is_text` is true, text."""
     held = kind.value_type if types.is_dictionary(kind) else kind
     is_string = types.is_string(held) or types.is_large_string(held)
     if _is_number(kind) or (is_text and is_string):
@@ -363,11 +345,7 @@ def _read_csv(file: Path) -> pd.DataFrame:
 
 
 def _complaints(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield an error message for each fault in the rows of a log, the most basic fault first.
-
-    `frame` has the rows of all flights, with the columns that the mapping
-    `identification.columns.COLUMNS` lists.
-    """
+    """Yield an error message for each fault in the rows of all flights, missing numbers first."""
     for name in frame:
         missing = frame[name].isna() if name in _TEXTS else ~np.isfinite(frame[name])
         if missing.any():
@@ -411,10 +389,9 @@ def _unit_complaints(frame: pd.DataFrame) -> Iterator[str]:
 
 
 def _unsound(frame: pd.DataFrame) -> Iterator[str]:
-    """Yield an error message for each column of a log that has implausible values.
+    """Yield an error message for each column of a log with a value outside its range in `_SOUND`.
 
-    The message quotes the first value outside the column's range in `_SOUND`. `frame` has the rows
-    of all flights.
+    The message quotes the first of these values.
     """
     for name, sound in _SOUND.items():
         values = frame[name].to_numpy()

@@ -128,7 +128,7 @@ class LoggedMotion:
         Raises
         ------
         ScenarioError
-            If no attitude and thrust give the logged acceleration of a row.
+            If no attitude and thrust of the vehicle produce the logged acceleration of a row.
         """
         changed = dict(numbers or {})
         deciding = {name: value for name, value in changed.items() if name not in self._power_only}
@@ -139,8 +139,7 @@ class LoggedMotion:
     def _power_only(self) -> frozenset[str]:
         """Names of the parameters that affect the power only, not the motion.
 
-        If only these parameters change, attitude and rotor speed remain valid, and only the power
-        is computed again.
+        If only these parameters change, the attitude and rotor speed of each row stay the same.
         """
         self._instants({})
         states = self._states_found[_FEW]
@@ -176,26 +175,10 @@ class LoggedMotion:
         return self._dynamics.solved(times, states, controls, {_MASS: mass, **told, **own})
 
     def _trimmed(self, numbers: Mapping[str, float]) -> FloatArray:
-        """Return the states that produce the logged accelerations, by Newton's method.
+        """Return the states that produce the logged accelerations, shape (n_rows, n_states).
 
-        The states are kept as initial guess of the next call.
-
-        Parameters
-        ----------
-        numbers : mapping
-            Changed values of the model's parameters, by full name, such as
-            ``vehicle.drag_linear``.
-
-        Returns
-        -------
-        ndarray, shape (n_rows, n_states)
-            State of the vehicle's model in each row. Newton's method gives roll, pitch and rotor
-            speed; the log gives the velocity.
-
-        Raises
-        ------
-        ScenarioError
-            If a row has no solution, for example because of a jump in the logged velocity.
+        A row without solution, for example after a jump in the logged velocity, raises a
+        ScenarioError.
         """
         states = self._states.copy()
         open_rows = np.ones(len(states), dtype=bool)
@@ -204,6 +187,7 @@ class LoggedMotion:
             missing = wanted - self._acceleration(at, open_rows, numbers)
             is_done = np.max(np.abs(missing), axis=1) <= _ACCURACY
             if np.all(is_done):
+                # Initial guess of the next call.
                 self._states = states
                 return states
             still = np.flatnonzero(open_rows)[~is_done]
@@ -219,6 +203,7 @@ class LoggedMotion:
                 steps = np.linalg.solve(np.stack(slopes, axis=2), missing[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError:
                 break  # singular: the acceleration of a row is independent of its state
+            # Roll, pitch and rotor speed are found; the velocity is the logged one.
             for column, step in zip(self._angles, steps.T, strict=False):
                 at[:, column] = np.clip(at[:, column] + step, -_STEEPEST, _STEEPEST)
             at[:, self._rotors] *= np.clip(1.0 + steps[:, 2:], 0.5, 2.0)
@@ -243,12 +228,9 @@ class LoggedMotion:
 
 
 def _accelerations(frame: pd.DataFrame) -> FloatArray:
-    """Return the accelerations over ground [m/s²] in each row of a log, shape (n_rows, 3).
-
-    They are finite differences of the logged velocities. No difference spans two flights. `frame`
-    has the rows of all flights.
-    """
+    """Return the accelerations over ground [m/s²] in each row of a log, shape (n_rows, 3)."""
     found = np.zeros((len(frame), len(VELOCITY)))
+    # No finite difference spans two flights.
     for rows in frame.groupby(FLIGHT, sort=False).indices.values():
         times = frame[TIME].to_numpy()[rows]
         velocity = frame[list(VELOCITY)].to_numpy()[rows]

@@ -3,9 +3,8 @@
 Method: see docs/theory/identification.md, eqs. (7) to (9). The fit is cross-validated by flight.
 
 The battery equations of the planner's model are simulated without the vehicle, under the measured
-powers of the flights. Each flight has its own charge at the start, from the voltage before the
-load, and its own resistance, from the first seconds under load: packs differ in age and
-temperature.
+powers of the flights. The packs differ in age and temperature. The voltage before the load gives
+the charge of a flight's pack at the start, the first seconds under load give its resistance.
 """
 
 from dataclasses import dataclass
@@ -92,10 +91,9 @@ class PackIdentification:
     parameters : tuple of PackParameter
         Fitted fields.
     flights : DataFrame
-        One row for each flight, computed as an unseen flight. Columns: state of charge at start and
-        end [percent], resistance of the flight's pack divided by the resistance of the median pack,
-        and two root mean square errors of the voltage [mV per cell]. The first error is computed
-        with the resistance of the flight's pack, the second with the resistance of the median pack.
+        One row for each unseen flight. Columns: state of charge at start and end [percent],
+        resistance of the flight's pack relative to the median pack, and the errors `error_mV` and
+        `error_unread_mV` of this flight.
     rows : DataFrame
         One row for each time step of each unseen flight. Columns: flight, time [s], measured and
         computed cell voltage [V].
@@ -103,10 +101,9 @@ class PackIdentification:
         End of the first seconds under load, on the time axis of `rows` [s]. The voltages before
         this time determine the resistance of a flight's pack.
     error_mV, error_unread_mV, base_error_mV : float
-        Root mean square errors of the computed voltage in flight [mV per cell]. `error_mV` is the
-        error in unseen flights, with the resistance of each flight's pack. `error_unread_mV` is the
-        error in unseen flights, with the resistance of the median pack. `base_error_mV` is the
-        error in all flights with the battery before the fit.
+        Root mean square errors of the computed voltage in flight [mV per cell]. The first is the
+        error in unseen flights with the resistance of each flight's pack, the second with that of
+        the median pack. The third is the error in all flights with the battery before the fit.
     """
 
     scenario: Scenario
@@ -120,28 +117,16 @@ class PackIdentification:
 
 
 class _Flown(NamedTuple):
-    """Measured power and cell voltage of one flight, in time steps of equal length.
+    """Measured power [W] and cell voltage [V] of one flight, in time steps of equal length.
 
-    The arrays begin a few seconds before the motors load the pack, or with the log if the log
-    begins later.
-
-    Attributes
-    ----------
-    name : object
-        Name of the flight.
-    power, voltage : ndarray, shape (n_times,)
-        Power of the pack [W] and voltage per cell [V] in each time step.
-    rest : (float, float)
-        Mean voltage per cell [V] and mean power [W] before the load begins. If the log begins under
-        load, voltage and power of its first row.
-    aloft : int
-        Number of time steps that count as flight: from the first step of the arrays to the last
-        step under load.
+    `aloft` is the number of time steps until the end of the load.
     """
 
     name: object
     power: FloatArray
     voltage: FloatArray
+    # Mean cell voltage [V] and mean power [W] before the load, or in the first row of a log that
+    # begins under load.
     rest: tuple[float, float]
     aloft: int
 
@@ -150,8 +135,8 @@ class Record:
     """Measured powers and cell voltages of all flights, in time steps of equal length.
 
     The arrays `power` [W] and `voltage` [V per cell] have one column per flight and one row per
-    time step from the beginning of the flight, with zeros after its end. A flight begins at most
-    3 s before its load. Flights that are too short or have no load are left out.
+    time step; values after a flight are zero. A flight begins at most 3 s before the motors load
+    the pack. Flights that are too short or have no load are left out.
 
     Parameters
     ----------
@@ -178,10 +163,9 @@ class Record:
             self.is_logged[rows, k], self.is_aloft[: one.aloft, k] = True, True
 
     def _flight(self, rows: pd.DataFrame) -> _Flown | None:
-        """Resample the log of one flight to time steps of equal length, the same for all flights.
+        """Resample the log of one flight to time steps of equal length.
 
-        `rows` are the log's rows of the flight. The result is None if the flight has no load or is
-        too short.
+        The result is None if the flight has no load or is too short.
         """
         time = rows[TIME].to_numpy()
         even = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
@@ -233,12 +217,12 @@ class Record:
         Parameters
         ----------
         rows : ndarray of bool, shape (n_times, n_flights)
-            True for the time steps of a flight from which to select.
+            True for the time steps among which to select.
 
         Returns
         -------
         ndarray of bool, shape (n_times, n_flights)
-            True for the selected time steps of a flight.
+            True for the selected time steps.
         """
         return rows & (np.arange(len(self.power)) >= self.reading)[:, None]
 
@@ -252,9 +236,7 @@ class Circuit:
     Parameters
     ----------
     scenario : Scenario
-        Scenario from the function `with_circuit`. Its battery has a relaxation resistance, whose
-        voltage drop builds up slowly, a temperature on which the resistances depend, and a state of
-        health (a factor on the resistances).
+        Scenario from the function `with_circuit`, whose battery has all fields of the circuit.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -307,7 +289,7 @@ class Circuit:
         factor : ndarray, shape (n_flights,)
             Factor on the resistance of each flight's pack.
         count : int
-            Number of time steps, which are the rows of the arrays of `record`.
+            Number of time steps, counted from the first row of the arrays of `record`.
 
         Returns
         -------
@@ -437,7 +419,8 @@ class Circuit:
     def fit(self, record: Record, start: FloatArray) -> FloatArray:
         """Fit the circuit to the measured voltages of a record.
 
-        The fitted resistances are scaled so that the median of the packs' factors is 1.
+        The fitted resistances are those of the median pack: the median of the results of `factors`
+        is 1.
 
         Parameters
         ----------
@@ -544,8 +527,7 @@ def identify_pack(scenario: Scenario, frame: pd.DataFrame) -> PackIdentification
 def _resistance(values: FloatArray) -> float:
     """Return the total resistance of a cell after a long time under load [ohm].
 
-    The total is the ohmic plus the relaxation resistance. `values` are the logarithms of the fitted
-    fields, in the order of `FITTED`.
+    `values` are the logarithms of the fitted fields.
     """
     names = list(FITTED)
     parts = ("cell_resistance", "relaxation.resistance")
@@ -556,8 +538,8 @@ def with_circuit(scenario: Scenario) -> Scenario:
     """Complete the scenario's battery to an equivalent circuit, with guesses for missing fields.
 
     The circuit has a relaxation resistance, whose voltage drop builds up slowly, and a temperature
-    on which the resistances depend. If the relaxation is missing, it gets 40 % of the cell
-    resistance. The state of health is replaced by that of a new pack.
+    on which the resistances depend. If the battery has no relaxation, 40 % of the cell resistance
+    becomes the relaxation resistance. The state of health is that of a new pack.
 
     Parameters
     ----------
@@ -591,8 +573,7 @@ def with_circuit(scenario: Scenario) -> Scenario:
 def _as_given(scenario: Scenario) -> list[float]:
     """Return the initial values of the fitted battery fields, in the order of `FITTED`.
 
-    If the battery has no relaxation or no activation energy, positive numbers take its place,
-    because the fit uses logarithms. The result itself is not logarithmic.
+    Fields that the battery lacks have positive values, because the fit takes logarithms.
     """
     pack = scenario.battery
     slow = (_NEARLY_NONE, 1.0)
@@ -612,22 +593,9 @@ def _with_fitted(scenario: Scenario, fitted: dict[str, float]) -> Scenario:
 def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = None) -> Any:  # noqa: ANN401
     """Return the root mean square error of computed voltages in flight [mV per cell].
 
-    The first seconds under load are excluded, because they determine the resistance of the pack.
-
-    Parameters
-    ----------
-    record : Record
-        Measured voltages.
-    computed : ndarray, shape (n_times, n_flights)
-        Computed voltages [V per cell].
-    axis : int, optional
-        0 for one error per flight; by default one error over all flights.
-
-    Returns
-    -------
-    float or ndarray, shape (n_flights,)
-        The error over all flights, or the error of each flight.
+    With `axis` 0, the result has one error per flight, otherwise it is one error over all flights.
     """
+    # Without the first seconds under load, which determine the resistance of the pack.
     counted = record.after_reading(record.is_aloft)
     squares = np.where(counted, (computed - record.voltage) ** 2, 0.0)
     return _PER_CELL_MV * np.sqrt(squares.sum(axis) / counted.sum(axis))
@@ -636,8 +604,7 @@ def _error_per_cell(record: Record, computed: FloatArray, axis: int | None = Non
 def _rows(record: Record, computed: FloatArray) -> pd.DataFrame:
     """Return measured and computed cell voltage [V] over time in one table, flight by flight.
 
-    `record` has the measured voltages. `computed` are the computed cell voltages [V], shape
-    (n_times, n_flights). Times after the end of a flight's log are left out.
+    Times after the end of a flight's log are left out.
     """
     flights = np.broadcast_to(np.array(record.names, dtype=object), record.power.shape)
     times = np.broadcast_to(record.step * np.arange(len(computed))[:, None], record.power.shape)

@@ -212,8 +212,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
         Base vehicle: the name of a vehicle of the library, or the path of a vehicle file (.toml). A
         battery file to which this file refers gets its absolute path.
     battery : str, optional
-        Name of a battery file in the folder of the new vehicle file. Its battery replaces the
-        battery of the base vehicle. By default, the base vehicle's battery is kept.
+        Name of a battery file in the folder of the new vehicle file. Without a name, the battery of
+        the base vehicle is kept.
     """
     file = Path(base)
     held: dict[str, Any] = read_toml(file) if file.suffix == ".toml" else {"use": base}
@@ -233,15 +233,8 @@ def vehicle_file(changed: Mapping[str, tuple[float, str]], base: str, battery: s
 def _toml_lines(table: Mapping[str, Any], path: str = "") -> Iterator[str]:
     """Yield the lines of a vehicle or battery file (TOML), one for each entry.
 
-    An entry is a number with its source, or a value without source. Each line begins with the
-    dotted key of the entry, such as ``fields.mass``.
-
-    Parameters
-    ----------
-    table : mapping
-        Entries of the whole file, or of one of its tables, as nested mappings.
-    path : str, optional
-        Key of the table with a dot at its end, such as ``fields.``; empty for the whole file.
+    An entry is a value, or a number with its source. `path`, such as ``fields.``, precedes the keys
+    of a nested table.
     """
     for name, content in table.items():
         key = f"{path}{name}"

@@ -43,9 +43,8 @@ def model_table(found: Identification) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row for each model; the identified model is the last. Columns: number of fitted
-        parameters, errors of energy and power in cross-validation, and errors of energy in
-        extrapolations to other payloads and speeds.
+        One row for each model, the identified model last. Columns: number of fitted parameters,
+        errors of energy and power in cross-validation, and errors of energy in extrapolations.
     """
     frame, measured = found.frame, found.frame[POWER].to_numpy()
     rows = []
@@ -65,7 +64,7 @@ def _regressors(frame: pd.DataFrame, mass: float) -> dict[str, FloatArray]:
     """Return the regressors of each published power model, by the model's name.
 
     Each model is linear in its parameters p: power = X p, with the matrix X of regressors, shape
-    (n_rows, n_parameters). `mass` is the vehicle's mass without payload [kg].
+    (n_rows, n_parameters).
     """
     hovering = ((mass + frame[PAYLOAD]) ** 1.5 / np.sqrt(frame[DENSITY])).to_numpy()[:, None]
     phases = (frame[[PHASE]].to_numpy() == FLYING).astype(float)
@@ -130,8 +129,8 @@ def measures(models: pd.DataFrame, tried: Sequence[Trial]) -> tuple[Measure, ...
     Returns
     -------
     tuple of Measure
-        One comparison for the energy of flights, one for the power in the rows of the log, and one
-        for each extrapolation.
+        One comparison for the energies of the flights, one for the powers of the rows, and one for
+        each extrapolation.
     """
     *rivals, own = models.to_dict("records")
     columns = {

@@ -76,9 +76,8 @@ class SteadyFit:
         Power of each point, computed with a fit to the other points [W]; NaN if there are too few
         points.
     together : tuple of (str, str)
-        One pair of names for each field that the points do not determine: its own name, and the
-        name of the field with the most similar effect on the power. The second name is "" if no
-        effect is similar.
+        One pair of names for each field that is not fitted: its own name, and that of the field
+        with the most similar effect on the power, or "" if no effect is similar.
     cautions : tuple of str
         Warnings about limitations of the result.
     """
@@ -115,9 +114,7 @@ def read_steady(file: Path, scenario: Scenario) -> pd.DataFrame:
     Parameters
     ----------
     file : Path
-        CSV file with a column for the power or the endurance, and possibly with columns for
-        airspeed, payload, climb and air density. The mapping `STEADY_COLUMNS` of this module has
-        the names and units of the columns.
+        CSV file with some of the columns of `STEADY_COLUMNS`; power or endurance is required.
     scenario : Scenario
         Scenario with the vehicle, whose payload and air density fill missing columns.
 
@@ -186,16 +183,9 @@ def filled_in(frame: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def _read_csv(file: Path) -> pd.DataFrame:
-    """Read a CSV table of measured points of steady flight, one point per row.
+    """Read at most 10000 measured points of steady flight from a CSV table, one point per row.
 
-    Only the columns that the mapping `STEADY_COLUMNS` of this module lists are read, and at most
-    10000 points. `file` is the path of the table.
-
-    Raises
-    ------
-    ScenarioError
-        If the file cannot be read, or if the table has no rows, has text in a column, or has
-        neither powers nor endurances.
+    A table without numeric power or endurance raises a ScenarioError.
     """
     source, wanted = printable(str(file)), wanted_columns(STEADY_COLUMNS)
     try:
@@ -293,8 +283,8 @@ def identify_steady(
     points : DataFrame
         Measured points, from `read_steady`.
     names : sequence of str, optional
-        Fields of the vehicle to fit. `fitting.FITTABLE` lists the fields that can be chosen. Of the
-        fields that the points determine, at most the first `len(points)` are fitted.
+        Fields of the vehicle to fit, from `fitting.FITTABLE`. If the points determine more fields
+        than there are points, only the first `len(points)` of these fields are fitted.
 
     Returns
     -------
@@ -334,31 +324,12 @@ def identify_steady(
 def _deviations(
     fit: Fit, values: FloatArray, power: FloatArray, points: pd.DataFrame
 ) -> FloatArray:
-    """Return the standard deviations of the fitted parameters, from the linearised fit.
-
-    The standard deviation of a measured power is estimated from the residuals of the fit. With few
-    points, an assumed fraction of the mean power is its lower limit.
-
-    Parameters
-    ----------
-    fit : Fit
-        Least-squares problem.
-    values : ndarray, shape (n,)
-        Fitted values of the parameters.
-    power : ndarray, shape (n_points,)
-        Power of each point that the fitted model gives [W].
-    points : DataFrame
-        Measured points.
-
-    Returns
-    -------
-    ndarray, shape (n,)
-        Standard deviations, in the units of the parameters.
-    """
+    """Return the standard deviations of the fitted parameters, from the linearised fit."""
     slopes = fit.slopes(values)
     measured = points[POWER].to_numpy()
     freedom = len(points) - len(values)
     reading = _READING_ERROR * float(np.mean(measured))
+    # Standard deviation of a measured power. With few points, the assumed error is its lower limit.
     residual = float(np.sqrt(np.sum((power - measured) ** 2) / max(freedom, 1)))
     few = len(points) < _FEW_PER_NUMBER * len(values)
     error = max(reading, residual) if few else residual

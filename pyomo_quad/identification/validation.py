@@ -159,8 +159,8 @@ def cross_validated(frame: pd.DataFrame, fitted: Fitted) -> FloatArray:
     frame : DataFrame
         Rows of the flights.
     fitted : callable
-        Function of a boolean array, shape (n_rows,). It fits a model to the rows where the array is
-        True. It returns the power of the fitted model in all rows [W].
+        Takes a boolean array, shape (n_rows,), fits a model to the rows that are True, and returns
+        the power of this model in all rows [W].
 
     Returns
     -------
@@ -179,15 +179,16 @@ def trials(frame: pd.DataFrame, fitted: Fitted) -> tuple[Trial, ...]:
     """Test how a model extrapolates to other payloads and speeds.
 
     If the payloads differ, the model is fitted to the heaviest payload and tested on the lightest.
-    If the speeds differ, it is fitted to the slower half of the speeds and tested on the fastest.
+    If the speeds differ, it is fitted to the flights at the slower half of the speeds and tested on
+    those at the fastest speed.
 
     Parameters
     ----------
     frame : DataFrame
         Rows of the flights.
     fitted : callable
-        Function of a boolean array, shape (n_rows,). It fits a model to the rows where the array is
-        True. It returns the power of the fitted model in all rows [W].
+        Takes a boolean array, shape (n_rows,), fits a model to the rows that are True, and returns
+        the power of this model in all rows [W].
 
     Returns
     -------
@@ -219,7 +220,7 @@ def cruise_speeds(frame: pd.DataFrame) -> FloatArray:
     """Return the usual ground speed in cruise [m/s] of the flight that each row belongs to.
 
     The usual speed is the 90 % quantile of the ground speed in cruise, rounded to a multiple of 2
-    m/s; 0 for a flight without cruise. It serves to group flights by speed.
+    m/s. It is 0 for a flight without cruise.
 
     Parameters
     ----------

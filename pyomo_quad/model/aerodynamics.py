@@ -12,10 +12,10 @@ the vehicle relative to the air. The coefficients d_1 [kg/s] and d_2 [kg/m] are 
 `drag_linear` and `drag_quadratic`. The law is valid at airspeeds of a few m/s. `drag` is the
 default for a vehicle that has any drag coefficient.
 
-The second part consists of forces along the body axes, whichever law the first part follows. They
-depend on the airspeed v in body axes and on the rotor speed omega. The three rotor forces are
-declared if one of their coefficients is not zero. The parasitic drag is declared if one of its
-coefficients is not zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
+The second part consists of forces along the body axes, under either law. These forces depend on the
+airspeed v in body axes and on the rotor speed omega. All three rotor forces are declared if any of
+their coefficients is not zero. The parasitic drag is declared if any of its coefficients is not
+zero. A vehicle with rotor drag and parasitic drag usually has d_1 = d_2 = 0.
 
 name | force on the vehicle | source
 rotor_drag_plane | -k_d omega v along x and y, at each rotor | Mellinger (2012)
@@ -65,13 +65,8 @@ _PARASITIC = Parameter(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `aerodynamics`.
 
-    The parameters are:
-
-    - the coefficient of eq. (9) of Yacef et al., if `wind.coupling` is "acceleration",
-    - the coefficients of rotor drag and translational lift, if the vehicle has these forces,
-    - the coefficients of parasitic drag, if the vehicle has this force.
-
-    The block `vehicle` has the coefficients of the isotropic drag.
+    They are the coefficients of the forces that act on the vehicle. The coefficients of the
+    isotropic drag are not included: block `vehicle` has them.
     """
     is_printed = scenario.wind.coupling is WindCoupling.ACCELERATION
     return (
@@ -103,9 +98,8 @@ def declare_aerodynamics(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `time`, `vehicle`, `rotors`, `wind`, and velocities and attitude
         in `rigid_body`.
     scenario : Scenario
-        Scenario whose field `wind.coupling` selects how the wind acts on the vehicle: through an
-        isotropic drag, or as the acceleration of eq. (9) of Yacef et al. The vehicle's coefficients
-        select the forces along the body axes.
+        Scenario whose field `wind.coupling` selects isotropic drag or the acceleration of eq. (9)
+        of Yacef et al. The vehicle's coefficients select the forces along the body axes.
     """
     b = m.aerodynamics = Block(doc="aerodynamic force")
     declare_parameters(b, scenario)
@@ -132,10 +126,9 @@ _ACCELERATION = units.m / units.s**2
 def declare_unexplained(m: ConcreteModel) -> None:
     """Add a constant horizontal acceleration to the equations of motion, as a correction.
 
-    The mutable parameter `aerodynamics.unexplained` has a value for each of the axes x and y: the
-    observed minus the modelled acceleration [m/s^2]. The expressions `force_x` and `force_y` are
-    replaced by others that include it. Call this function before declaring any component that
-    refers to them.
+    The mutable parameter `aerodynamics.unexplained` is the observed minus the modelled acceleration
+    along x and y [m/s^2]. New expressions `force_x` and `force_y` include this parameter. Call this
+    function before declaring a component that refers to `force_x` or `force_y`.
 
     Parameters
     ----------
@@ -175,9 +168,7 @@ _Rules = dict[str, tuple[Callable[[Block, float], NumericExpression], str]]
 def _wind_acceleration(updraft: Expression | None) -> _Rules:
     """Return Pyomo rule and documentation text of the wind force of eq. (9), for each world axis.
 
-    The keys are "force_x", "force_y" and "force_z". The force is the mass times c w [N], with the
-    wind velocity w and a coefficient c [1/s]. `updraft` is the vertical wind over time; if it is
-    None, the vertical force is zero.
+    The force is the mass times c w [N], with the wind velocity w and a coefficient c [1/s].
     """
 
     def force_x(b: Block, t: float) -> NumericExpression:
@@ -229,19 +220,7 @@ def _declare_airspeed(b: Block, m: ConcreteModel) -> None:
 def _drag(b: Block, m: ConcreteModel) -> _Rules:
     """Declare the drag divided by the airspeed, and return the drag forces along the world axes.
 
-    The ratio, d_1 + d_2 abs(v) [kg/s], is an expression over time.
-
-    Parameters
-    ----------
-    b : Block
-        Block that receives the ratio.
-    m : ConcreteModel
-        Model of the mission, to which the block belongs.
-
-    Returns
-    -------
-    dict
-        Pyomo rule and documentation text of each force, by name: `force_x`, `force_y`, `force_z`.
+    The ratio is d_1 + d_2 abs(v) [kg/s]. The forces are Pyomo rules with documentation texts.
     """
 
     @b.Expression(m.time, doc="drag over airspeed [kg/s]")
@@ -342,18 +321,7 @@ def _declare_rotor_moments(b: Block, m: ConcreteModel) -> None:
 def _declare_sum(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the sum of the aerodynamic forces along each body axis and each world axis [N].
 
-    Along the body axes, the forces are parasitic drag, rotor drag and translational lift. Along the
-    world axes, the isotropic drag or the wind force of eq. (9) of Yacef et al. is added.
-
-    Parameters
-    ----------
-    b : Block
-        Block `aerodynamics`, which has the isotropic drag or the wind force, and receives the sums
-        as expressions over time.
-    m : ConcreteModel
-        Model of the mission, to which the block belongs.
-    scenario : Scenario
-        Scenario with the vehicle.
+    Only the sums along the world axes include the isotropic drag or the wind force of eq. (9).
     """
     by_axis = any(scenario.vehicle.parasitic_drag)
     has_rotor_forces = scenario.vehicle.has_rotor_forces

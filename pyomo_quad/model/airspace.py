@@ -22,8 +22,8 @@ A place is outside the zone if max(d_k) > 0. In the model, a smooth lower bound 
 not be negative. Every place inside the zone is thus forbidden. Beside an edge, where two of the d_k
 differ by less than about w, some places outside the zone are forbidden, too. Their distance from
 the zone is at most 0.14 w = 70 mm, and at the corners of a box at most 0.28 w = 140 mm. Near a
-corner of a prism, where j > 2 of the d_k may be nearly equal, it is at most (j - 1) 0.14 w. Away
-from the edges, exactly the zone is forbidden. The clearance moves each face outwards by the
+corner of a prism, j > 2 of the d_k may be nearly equal. The distance is then at most (j - 1) 0.14
+w. Away from the edges, exactly the zone is forbidden. The clearance moves each face outwards by the
 distance c; the edges between the faces stay sharp.
 
 The fence (`keep_in`) is a convex polygon in x and y, which flights must not leave. Each of its
@@ -117,9 +117,9 @@ def field_edges(scenario: Scenario) -> dict[str, tuple[int, float, float]]:
     Returns
     -------
     dict
-        For each edge, its axis (0 for x, 1 for y, 2 for z), its side (-1 for the lower end of the
-        axis, 1 for the upper) and its coordinate on the axis [m]. The names are "west", "east",
-        "south" and "north". If the field varies with height, also "bottom" and "top".
+        For each edge, its axis (0, 1, 2 for x, y, z), its side (-1 for the lower end of the axis, 1
+        for the upper) and its coordinate [m]. The names are "west", "east", "south", "north" and,
+        if the field varies with height, "bottom" and "top".
 
     Examples
     --------
@@ -149,17 +149,10 @@ def _centres(scenario: Scenario) -> dict[tuple[str, int, str], float]:
 
 
 def _axes_and_centre(ball: Ball) -> tuple[tuple[int, ...], tuple[float, ...]]:
-    """Return the axes in which a ball measures distances, and the ball's centre on these axes [m].
+    """Return the axes in which a ball measures distances, and its centre on these axes [m].
 
-    If the ball is an interval across an edge of a polygon, the axes are x and y. The centre is then
-    c n, with the unit vector n across the edge and the middle c of the interval along n.
-
-    Returns
-    -------
-    axes : tuple of int
-        0, 1, 2 for x, y, z.
-    centre : tuple of float
-        Coordinate on each of these axes [m].
+    For an interval across the edge of a polygon, the centre lies on the normal of the edge through
+    the origin.
     """
     if ball.normal is None:
         return ball.axes, ball.centre
@@ -290,25 +283,9 @@ def declare_airspace(m: ConcreteModel, scenario: Scenario) -> None:
 def _inside(
     edges: Mapping[str, tuple[int, float, float]], parameter: str, b: Block, edge: str, t: float
 ) -> RelationalExpression:
-    """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t.
+    """Return the constraint that keeps the vehicle inside one edge of a data grid, at time t [s].
 
-    The data are terrain or a wind field. With `edges` and `parameter` fixed, the function is a
-    Pyomo rule.
-
-    Parameters
-    ----------
-    edges : mapping
-        Axis, side and coordinate of each edge of the grid, by the edge's name. The axis across the
-        edge is 0, 1 or 2 for x, y or z. The side is 1 if the edge limits the coordinate from above,
-        and -1 from below. The coordinate [m] is not used, because `parameter` holds it.
-    parameter : str
-        Name of the Pyomo parameter of block `airspace` that holds the coordinate of each edge [m].
-    b : Block
-        Block `airspace`.
-    edge : str
-        Name of the edge.
-    t : float
-        Time [s].
+    `edges` has the axis of each edge and its side: 1 upper, -1 lower.
     """
     axis, side, _ = edges[edge]
     out = b.parent_block().rigid_body.component(AXES[axis])[t] - b.component(parameter)[edge]
@@ -347,26 +324,14 @@ def _declare_keep_outs(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 def _distance_outside(squared_distance: Any, radius: Any, rounding: Any) -> Any:
     """Return the distance of a place from the surface of a ball, negative inside the ball [m].
 
-    The arguments are numbers or Pyomo expressions.
-
-    Parameters
-    ----------
-    squared_distance : number or expression
-        Square of the distance of the place from the ball's centre [m^2].
-    radius : number or expression
-        Radius of the ball [m].
-    rounding : number or expression
-        Length [m] that makes the result differentiable at the centre of the ball. Its value does
-        not move the surface, on which the result is zero.
+    The length `rounding` [m] makes the result differentiable at the centre; it does not move the
+    surface.
     """
     return sqrt(squared_distance + rounding**2) - sqrt(radius**2 + rounding**2)
 
 
 def _refuse_touching(scenario: Scenario) -> None:
-    """Raise a ScenarioError if a start, waypoint or goal is in a keep-out zone or on its surface.
-
-    The zone includes its clearance and its smoothed edges. A waypoint with a radius is not checked.
-    """
+    """Raise a ScenarioError if a start, waypoint or goal is in or on a keep-out zone."""
     told, mission = scenario.airspace, scenario.mission
     # A waypoint with a radius may be passed away from the surface.
     is_exact = (True, *(waypoint.radius == 0.0 for waypoint in mission.waypoints), True)
@@ -389,8 +354,7 @@ def _refuse_touching(scenario: Scenario) -> None:
 def _smoothed_distance(zone: KeepOut, clearance: float, place: Sequence[float]) -> float:
     """Return the smoothed distance of a place from a zone, less the clearance [m].
 
-    The result is negative where the path constraint `keep_out` forbids the place. `clearance` [m]
-    is the distance kept from zones, and `place` the position x, y, z [m].
+    The result is negative where the path constraint `keep_out` forbids the place.
     """
     distances = [
         _distance_outside(

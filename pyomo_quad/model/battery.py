@@ -137,7 +137,7 @@ def declare_battery(m: ConcreteModel, scenario: Scenario) -> None:
     ----------
     m : ConcreteModel
         Model that already declares the set `time`, the block `power` and the suffix
-        `scaling_factor`, which holds one over the usual magnitude of each variable.
+        `scaling_factor`.
     scenario : Scenario
         Source of the battery's numbers. If the battery has the table `relaxation` or `thermal`, the
         relaxation voltage or the temperature is declared as a further state.
@@ -168,8 +168,7 @@ def declare_loss(m: ConcreteModel) -> None:
 
     The energy lost is the integral of U_0 i - P, with the open-circuit voltage U_0 at the start,
     the current i and the power P. Energy plus loss is U_0 times the charge drawn in flight:
-    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12). To
-    compute U_0, the charge at the start is set to its initial value.
+    minimising this sum minimises the charge. See docs/theory/battery.md, eqs. (11) to (12).
 
     Parameters
     ----------
@@ -178,6 +177,7 @@ def declare_loss(m: ConcreteModel) -> None:
     """
     b, start = m.battery, m.time.first()
     charge, missing = b.charge_drawn[start], 1 - b.initial_state_of_charge / (100 * units.percent)
+    # The open-circuit voltage at the start is evaluated at the initial charge.
     charge.set_value(value(b.pack_capacity * missing))
     b.reference_voltage = Param(
         initialize=value(b.open_circuit_voltage[start]),
@@ -272,11 +272,7 @@ def _declare_voltage(b: Block, m: ConcreteModel) -> None:
 
 
 def _charge_of_new_cell(b: Block, t: float) -> NumericExpression:
-    """Return the charge drawn from one cell, scaled to the capacity of an unaged cell [A h].
-
-    If the model has `capacity_factor` (state of health), the result is the charge divided by it.
-    `b` is the block `battery`, and `t` the time in flight [s].
-    """
+    """Return the charge drawn from one cell, divided by `capacity_factor` if it exists [A h]."""
     # The constants of eq. (5) of Yacef et al. hold for an unaged cell.
     charge = b.charge_drawn[t] / b.cells_parallel
     return charge if b.component("capacity_factor") is None else charge / b.capacity_factor

@@ -88,8 +88,8 @@ def states_at_start(scenario: Scenario) -> dict[str, float]:
 def fields_after(scenario: Scenario, ended: Mapping[str, float]) -> dict[str, float]:
     """Return the scenario fields that start the next flight with the battery's present state.
 
-    The fields set the initial relaxation voltage and the initial temperature of the next flight.
-    The initial charge is set by the caller.
+    The fields set the initial relaxation voltage and the initial temperature of the next flight,
+    but not its initial charge.
 
     Parameters
     ----------
@@ -157,11 +157,7 @@ def declare_balances(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _line(equation: object) -> str:
-    """Return the first line of the docstring of an equation's function, without the final period.
-
-    `equation` is the rule of a Pyomo constraint or expression. The result becomes the documentation
-    text of the constraint or expression, which reports print.
-    """
+    """Return the first line of an equation's docstring without full stop, as documentation text."""
     return str(equation.__doc__).partition("\n")[0].rstrip(".")
 
 

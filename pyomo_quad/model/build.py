@@ -1,7 +1,7 @@
 """Functions that build the continuous-time Pyomo model of a mission.
 
 A scenario may name a model builder: a Python function of the user that builds the model in place of
-`build_model`. The functions `model_builder` and `load_builder` load this function.
+`build_model`. The functions `model_builder` and `load_builder` return the user's function.
 """
 
 from collections.abc import Callable, Hashable
@@ -49,13 +49,14 @@ def build_model(scenario: Scenario) -> ConcreteModel:
     -------
     ConcreteModel
         Model with the blocks ``vehicle, rigid_body, rotors, wind, aerodynamics, power, battery,
-        limits, airspace, mission``, over terrain ``ground``, and with a return reserve ``homing``.
-        The set ``time`` is not discretised. Its members are the start, the end, and the nominal
-        times at which waypoints are reached and left. Without waypoints, its members are the start,
-        half the duration and the end. A free duration is the variable ``duration``. The parameter
-        ``clock`` is the time, for equations that depend on time. ``energy`` is the energy of the
-        flight [J], the integral of the power over time. The ``objective`` is minimised. The suffix
-        ``scaling_factor`` holds one over the usual magnitude of each variable.
+        limits, airspace, mission``. A scenario with terrain adds the block ``ground``, a return
+        reserve the block ``homing``. The set ``time`` is not discretised. Its members are the
+        start, the end, and the nominal times at which waypoints are reached and left. Without
+        waypoints, its members are the start, half the duration and the end. A free duration is the
+        variable ``duration``. The parameter ``clock`` is the time, for equations that depend on
+        time. ``energy`` is the energy of the flight [J], the integral of the power over time. The
+        ``objective`` is minimised. The suffix ``scaling_factor`` holds one over the usual magnitude
+        of each variable.
 
     Raises
     ------
@@ -88,10 +89,10 @@ def build_in_turbulence(scenario: Scenario) -> ConcreteModel:
     Returns
     -------
     ConcreteModel
-        The model of `build_model` with two additions. The block `wind.turbulence` has the Dryden
-        shaping filters, which turn white noise into gusts. Two mutable parameters with the initial
-        value zero are added: ``wind.error``, the error of the wind forecast by axis [m/s], and
-        ``power.error``, the relative error of the power model.
+        The model of `build_model` with the Dryden shaping filters of the gusts in block
+        `wind.turbulence`. Two mutable parameters, initially zero, are added: ``wind.error``, the
+        error of the wind forecast by axis [m/s], and ``power.error``, the relative error of the
+        power model.
 
     Examples
     --------
@@ -176,22 +177,16 @@ def _vehicle_in_the_wind(scenario: Scenario) -> ConcreteModel:
 
 
 def _declare_flight(m: ConcreteModel, scenario: Scenario) -> None:
-    """Complete a model that has forces and wind: declare all its remaining parts.
-
-    The remaining parts are the balances of forces and moments, the power, the battery, the limits,
-    the conditions at start and goal, and the objective.
-    """
+    """Complete a model that has forces and wind: declare balances, power, limits and cost."""
     declare_balances(m, scenario)
     power.declare_power(m, scenario)
     _declare_cost_and_limits(m, scenario)
 
 
 def _declare_cost_and_limits(m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare battery, limits, conditions at start, goal and waypoints, and the objective.
+    """Declare battery, limits, conditions at start, goal and waypoints, and the objective [J].
 
-    The objective [J] is the energy. If the duration is free, `mission.price_of_time` [W] times the
-    duration is added. If the mission minimises the charge, the energy lost inside the pack is
-    added; see docs/theory/battery.md, eq. (12). `m` already has motion, wind and power.
+    For missions that minimise the charge, see docs/theory/battery.md, eq. (12).
     """
     battery.declare_battery(m, scenario)
     limits.declare_limits(m, scenario)
@@ -252,10 +247,10 @@ def structure_key(scenario: Scenario) -> Hashable:
     Returns
     -------
     hashable
-        If two scenarios have equal keys, their models differ only in the values of parameters, the
-        length of a fixed duration, and initial guess and scaling (`guess_key`). The compiled model
-        of one scenario can then be solved for the other, with the values from `parameter_values`.
-        Missions with different waypoints have different keys.
+        If two scenarios have equal keys, the compiled model of one can be solved for the other,
+        with the values from `parameter_values`. Their models differ at most in parameter values,
+        the length of a fixed duration, initial guess and scaling. Missions with different waypoints
+        have different keys.
 
     Examples
     --------
@@ -285,9 +280,9 @@ def structure_key(scenario: Scenario) -> Hashable:
 
 
 def guess_key(scenario: Scenario) -> Scenario:
-    """Return a key; scenarios with equal keys have the same initial guess and variable scaling.
+    """Return a key that is equal for scenarios with the same initial guess and variable scaling.
 
-    The key is the scenario without its wind, because guess and scaling are independent of the wind.
+    The key is the scenario without its wind, on which guess and scaling do not depend.
     """
     return scenario.model_copy(update={"wind": None})
 
@@ -419,11 +414,7 @@ def load_builder(spec: str, base_folder: Path) -> Builder:
 
 
 def _run(spec: str, file: Path) -> ModuleType:
-    """Import the Python file of a user's model builder and return it as a module.
-
-    `spec`, the value of the scenario's field `model`, is quoted in error messages; `file` is the
-    path of the Python file.
-    """
+    """Import the Python file of a user's model builder and return it as a module."""
     if not file.is_file():
         raise ScenarioError(f"model = {spec!r}: no file {file}; name an existing Python file.")
     module_spec = spec_from_file_location(f"custom_model_{file.stem}", file)
@@ -440,9 +431,5 @@ def _run(spec: str, file: Path) -> ModuleType:
 
 
 def _one_line(error: Exception) -> str:
-    """Return the class name of an exception and the first line of its message, as one line.
-
-    `error` is the exception. The result, as "ValueError: text", is quoted in the message of a
-    `ScenarioError`.
-    """
+    """Return an exception as one line: class name and first line of the message."""
     return ": ".join((type(error).__name__, *str(error).splitlines()[:1]))

@@ -16,8 +16,8 @@ is independent of the size of the grid.
 
 The height above the ground is at least z - U and at most z - L. With z - U >= floor, it is
 therefore at least the floor; with z - L <= ceiling, at most the ceiling. The attribute `excess` of
-a surface is its greatest vertical distance from the ground. Where z - U = floor, the height above
-the ground exceeds the floor by at most `excess`.
+a surface is its greatest vertical distance from the ground. The limit z - U >= floor is stricter
+than the floor by at most `excess`.
 """
 
 from typing import Any
@@ -70,8 +70,8 @@ def declare_ground(m: ConcreteModel, scenario: Scenario) -> None:
 def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
     """Return the height of the vehicle that a floor or a ceiling limits [m].
 
-    Over flat ground, this height is z. Over terrain, it is the height above a smooth surface that
-    approximates the ground.
+    Over flat ground, this height is z. Over terrain, it is the height above a smooth surface: for a
+    floor, a surface nowhere below the ground; for a ceiling, one nowhere above it.
 
     Parameters
     ----------
@@ -80,8 +80,7 @@ def height_above_ground(m: ConcreteModel, t: float, side: int = 1) -> Any:
     t : float
         Time in flight [s].
     side : int, optional
-        1 for a floor: the surface is nowhere below the ground. -1 for a ceiling: the surface is
-        nowhere above the ground; over terrain, the airspace must have a ceiling.
+        1 for a floor, -1 for a ceiling. Over terrain, -1 requires that the airspace has a ceiling.
     """
     b = m.component("ground")
     return m.rigid_body.z[t] if b is None else b.component(_SURFACES[side][1])[t]

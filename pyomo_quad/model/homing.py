@@ -18,8 +18,8 @@ vehicle, and climbing a metre takes as much charge as flying a metre.
 
 Over terrain, the vehicle climbs vertically to the height H_k, flies level to the place above the
 home, and descends. H_k is the highest ground on the straight line to the home, plus the floor of
-the airspace. The climb draws a current of its own, at a given rate of climb. The distance d is then
-that of level flight and descent. See docs/theory/homing.md.
+the airspace. The climb draws a current of its own, at a given rate of climb. Over terrain, the
+distance d in the charge is the length of level flight plus descent. See docs/theory/homing.md.
 """
 
 from collections.abc import Hashable
@@ -95,8 +95,8 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def terrain_key(scenario: Scenario) -> Hashable:
     """Return the places of the homes if the compiled model depends on them, or None.
 
-    With terrain and a return reserve, the model contains a height table for each home. The compiled
-    model is valid only for these homes. The result is therefore a part of `structure_key`.
+    With terrain and a return reserve, the compiled model has a height table for each home and is
+    valid only for these homes.
     """
     has_tables = scenario.mission.return_reserve and scenario.airspace.ground is not None
     return _homes(scenario) if has_tables else None
@@ -162,19 +162,9 @@ def _declare_way(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_climb(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
-    """Declare height, climb and length of the return over terrain, for each home and time.
+    """Declare height, climb and length of the return over terrain, for each home and time [m].
 
-    The expressions `height_home`, `climb` and `way_flown` [m] are eqs. (7) to (9) of
-    docs/theory/homing.md. `way_flown` is the length of level flight and descent.
-
-    Parameters
-    ----------
-    b : Block
-        Block `homing`, which already has the positions of the homes.
-    m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and `airspace`.
-    scenario : Scenario
-        Scenario with terrain; nothing is declared without terrain.
+    They are eqs. (7) to (9) of docs/theory/homing.md. Nothing is declared without terrain.
     """
     ground, floor = scenario.airspace.ground, m.airspace.component("floor")
     if ground is None:

@@ -55,7 +55,7 @@ _VALIDATED = fields_of(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `limits`.
 
-    Most parameters are bounds. A bound whose scenario field is None is not declared.
+    A bound whose scenario field is None is left out.
     """
     validated = _VALIDATED if scenario.limits.within_validated else ()
     return (*_BOUNDS, *(row for row in _OPTIONAL if row.value(scenario)), *validated)
@@ -101,8 +101,8 @@ def declare_limits(m: ConcreteModel, scenario: Scenario) -> None:
 def _less_reserve(b: Block, most: NumericExpression) -> NumericExpression:
     """Return the largest rotor speed [rad/s] or thrust [N] that a plan may use.
 
-    The result is (1 - reserve) `most`, with the vehicle's largest rotor speed or thrust `most`. If
-    the block `limits`, `b`, has no parameter `reserve`, the result is `most`.
+    The result is (1 - reserve) times the vehicle's largest value `most`, or `most` without a
+    reserve.
     """
     reserve = b.component(_RESERVE)
     return most if reserve is None else (1 - reserve) * most
@@ -124,10 +124,9 @@ def _declare_motor_lag(b: Block, m: ConcreteModel) -> None:
 
 
 def _declare_validated_range(b: Block, m: ConcreteModel) -> None:
-    """Limit airspeed, climb and descent to the range for which the vehicle's model is validated.
+    """Limit airspeed, climb and descent to the range for which measured flights validate the model.
 
-    Measured flights give the range. A limit is declared only if `b`, the block `limits` of the
-    model `m`, has its parameter.
+    A limit is declared only if block `limits` has its parameter, such as `validated_airspeed`.
     """
     if b.component("validated_airspeed") is not None:
 

@@ -1,11 +1,10 @@
 """Boundary conditions of a mission: hover at start and goal, passages of waypoints.
 
-A passage is the instant at which the flight is at a waypoint. The time of a passage is a variable
-of the plan.
+A passage is the instant at which the flight is at a waypoint, a variable of the plan.
 
-The paper (Yacef et al.) sets every rotor to 912 rad/s at start and goal, a speed at which the
-thrust is 0.07 % less than the weight. In this module, the thrust at start and goal equals the
-weight: the rotor speed omega satisfies n kappa_b omega^2 = m g for n rotors.
+At start and goal, the paper (Yacef et al.) sets every rotor to 912 rad/s, at which the thrust is
+0.07 % less than the weight. In this module, the thrust equals the weight: the rotor speed omega
+satisfies n kappa_b omega^2 = m g for n rotors.
 """
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
@@ -99,10 +98,9 @@ _HOVERING = (
 
 
 def _passed(field: str, scenario: Scenario) -> dict[int, float]:
-    """Return the values of one field of the waypoints, by the number of the waypoint from 0.
+    """Return the values of one field of the waypoints, by the index of the waypoint from 0.
 
-    Waypoints at which the field has its default value need no parameter and are omitted. `field` is
-    the name of the field, such as "radius".
+    Waypoints at which the field has its default value need no parameter and are left out.
     """
     default = Waypoint.model_fields[field].default
     values = {k: getattr(w, field) for k, w in enumerate(scenario.mission.waypoints)}
@@ -119,13 +117,9 @@ _PASSAGES = tuple(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the model of a scenario declares in its block `mission`.
 
-    The parameters are:
-
-    - place and heading at start and goal, and conditions at waypoints,
-    - limits during a hover, if the mission has a hover at a waypoint,
-    - a limit on the yaw rate, if the heading is constant,
-    - bounds of the duration and its price in the objective, `price_of_time` [W], if the duration
-      is free.
+    They set the conditions at start, goal and waypoints. A hover at a waypoint adds limits during
+    the hover, and a constant heading adds a limit on the yaw rate. A free duration adds its bounds
+    and its price in the objective, `price_of_time` [W].
     """
     duration = _DURATION if scenario.mission.is_free else ()
     hovering = _HOVERING if any(w.hold for w in scenario.mission.waypoints) else ()
@@ -136,7 +130,7 @@ def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
 def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare hover at start and goal and the conditions at waypoints in block `mission`.
 
-    If the scenario keeps the heading, the path constraint `yaw_keeping` is declared, too.
+    If the heading is constant, the path constraint `yaw_keeping` is declared, too.
 
     Parameters
     ----------
@@ -163,11 +157,7 @@ def declare_mission(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression:
-    """Return the rotor speed at which the thrust balances the weight of a mass [rad/s].
-
-    All rotors bear an equal share of the weight. `m` is the model, which already declares vehicle
-    and rotors, and `mass` is the mass [kg] as a Pyomo expression.
-    """
+    """Return the rotor speed at which the thrust balances the weight of a mass [rad/s]."""
     rotor_thrust = mass * m.vehicle.gravity / len(m.rotors.rotor)
     return sqrt(rotor_thrust / m.vehicle.thrust_coefficient) * units.rad
 
@@ -175,9 +165,8 @@ def _hover_speed(m: ConcreteModel, mass: NumericExpression) -> NumericExpression
 def free_times(m: ConcreteModel, scenario: Scenario) -> dict[float, Any]:
     """Return the Pyomo variables of all times that a plan chooses, by their nominal times [s].
 
-    A plan chooses the passing times of waypoints, the ends of hovers and, if it is free, the
-    duration. The scenario has a nominal value of each, a member of the time set of the model `m`.
-    Constraints at a chosen time are declared at its nominal time.
+    A plan chooses the passing times of waypoints, the ends of hovers and a free duration. The
+    nominal times are members of the time set of the model `m`.
     """
     # Constraints at a chosen time are declared at its nominal time.
     *passages, end = scenario.nominal_times
@@ -210,8 +199,7 @@ def chosen_times(
 def _declare_waypoints(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare for each waypoint the time of its passage and the conditions at that time.
 
-    The conditions are on position and, if the scenario sets them, on heading, speed and duration of
-    a hover. They are added to `b`, the block `mission` of the model `m`.
+    The conditions are on position and, if the scenario sets them, on heading, speed and hover.
     """
     waypoints, times = scenario.mission.waypoints, scenario.nominal_times
     reached = {k: times[2 * k] for k in range(len(waypoints))}
@@ -322,23 +310,9 @@ def declare_duration(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_end(
     b: Block, m: ConcreteModel, end: str, t: float, rotor_speed: NumericExpression
 ) -> None:
-    """Declare the conditions of hover at one end of the flight.
+    """Declare the conditions of hover at one end of the flight, "start" or "goal".
 
-    Position and heading have the values of the scenario. Velocity, tilt and body rates are zero.
-    The rotor speeds balance the weight.
-
-    Parameters
-    ----------
-    b : Block
-        Block `mission`, to which the conditions are added.
-    m : ConcreteModel
-        Model that already declares `rigid_body` and `rotors`.
-    end : str
-        "start" or "goal".
-    t : float
-        Time of the start or the goal [s].
-    rotor_speed : expression
-        Speed of every rotor [rad/s].
+    Position and heading are those of the scenario. Velocity, tilt and body rates are zero.
     """
     said = "x(t_0) = x_0" if end == "start" else "x(t_f) = x_f"
 
@@ -360,10 +334,9 @@ def _declare_end(
 
 
 def _goal_of_turning(b: Block) -> tuple[Any, ...]:
-    """Return two constraints at the goal: yaw has its prescribed value, and body rate r is zero.
+    """Return the constraints at the goal on yaw and body rate r.
 
-    If the constraint `yaw_keeping` is active, it implies both, and they are inactive. `b` is the
-    block `mission`, which has the constraints.
+    While the path constraint `yaw_keeping` is active, it implies both, and they are deactivated.
     """
     return b.goal_place["psi"], b.goal_rest["r"]
 
@@ -383,8 +356,8 @@ def start_where_measured(m: ConcreteModel) -> None:
     """Replace the conditions of a mission at the start by initial values of all states.
 
     The new block `start` has a mutable parameter for each state, with the name of the state.
-    Replanning in flight sets the parameters to the measured states. A constant heading is no longer
-    required.
+    Replanning in flight sets the parameters to the measured states. The path constraint
+    `yaw_keeping` is deactivated.
 
     Parameters
     ----------
@@ -407,19 +380,9 @@ def start_where_measured(m: ConcreteModel) -> None:
 
 
 def _start_measured(b: Block, start: float, state: Var) -> None:
-    """Declare a parameter for a state's measured value, and an initial condition with this value.
+    """Declare a mutable parameter for a state's measured value, and an initial condition with it.
 
-    The parameter is mutable. A state that is also indexed by rotor gets one parameter and one
-    condition per rotor.
-
-    Parameters
-    ----------
-    b : Block
-        Block `start`, to which parameter and condition are added.
-    start : float
-        Start time of the flight [s].
-    state : Var
-        The state, a Pyomo variable over time.
+    A state that is also indexed by rotor gets one parameter and one condition per rotor.
     """
     beside_time = [index[:-1] for index in state if isinstance(index, tuple) and index[-1] == start]
     sets = (beside_time,) if beside_time else ()

@@ -34,7 +34,7 @@ class Parameter:
         Unit of the parameter.
     value : callable
         Takes a scenario and returns a number, or a mapping from indices to numbers. If the result
-        is None or an empty mapping, the parameter is not declared for this scenario.
+        is None or empty, the parameter is not declared.
     doc : str
         Meaning of the parameter.
     """
@@ -212,9 +212,9 @@ def saturated(
     value, floor : expression
         Quantities of the same unit.
     width : expression
-        Width of the transition, in the same unit. If value = floor + 10 width, the result differs
-        from the value by 2e-8 of the width. Near the floor, the result may fall below the floor by
-        up to 0.14 times the width (the constant `DIP`).
+        Width of the transition, in the same unit. At value = floor + 10 width, the result differs
+        from the value by 2e-8 width. The result is at most 0.14 width (the constant `DIP`) below
+        the floor.
 
     Returns
     -------

@@ -121,8 +121,8 @@ _SMOOTHING = "smoothing"
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters that the scenario's power model declares in block `power`.
 
-    The models `motor`, `motor_with_friction` and `shaft` have none of their own; block `vehicle`
-    has the motor constants. Without `power.regeneration`, every model has `smoothing` [W].
+    The models `motor`, `motor_with_friction` and `shaft` have no parameters but those of block
+    `vehicle`. Without `power.regeneration`, every model has the parameter `smoothing` [W].
     """
     guard = () if scenario.power.regeneration else fields_of("power", _SMOOTHING)
     return (*_NUMBERS.get(scenario.power.model, ()), *guard)
@@ -138,9 +138,8 @@ def wider_smoothings(scenario: Scenario) -> tuple[dict[str, float], ...]:
     Returns
     -------
     tuple of dict
-        Each dictionary maps the full name of the model's width parameter to the width [W]. All
-        widths are more than twice the scenario's own width, which is not included. The tuple is
-        empty if regeneration is enabled, because the power then has no kink.
+        Each dictionary maps the full name of the width parameter to a width [W] of more than twice
+        the scenario's own width. The tuple is empty if regeneration is enabled.
     """
     if scenario.power.regeneration:
         return ()
@@ -204,10 +203,9 @@ _RotorRule = Callable[[Block, int, float], NumericExpression]
 def _power_of_each_rotor(
     m: ConcreteModel, name: str, *, doc: str
 ) -> Callable[[_RotorRule], _RotorRule]:
-    """Return a decorator for the Pyomo rule of the power of each rotor, `power.<name>` [W].
+    """Return a decorator that adds the power of each rotor, `power.<name>` [W], to the model `m`.
 
-    The rule takes the block `power`, the rotor's number and the time. The decorator adds an
-    expression with this rule and the text `doc` to the model `m`.
+    The decorated Pyomo rule takes the block `power`, the rotor's number and the time.
     """
 
     def declare(rule: _RotorRule) -> _RotorRule:
@@ -221,8 +219,8 @@ def declare_motor_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `motor`: terminal voltage times current of each motor.
 
     Voltage and current are eqs. (2) and (3) of Yacef et al., valid at all speeds and torques. With
-    regeneration, a braking rotor returns its shaft power less the copper loss. The profile drag of
-    the rotors counts only as far as the vehicle's `drag_torque_coefficient` includes it.
+    regeneration, a braking rotor returns its shaft power less the copper loss. The power includes
+    the profile drag of the rotors only if the vehicle's `drag_torque_coefficient` does.
 
     Parameters
     ----------
@@ -249,7 +247,8 @@ def declare_shaft_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `shaft`: mechanical power of each rotor, torque times speed.
 
     Motor and converter have no loss. With regeneration, a braking rotor returns its full shaft
-    power. The power is linear in the rotor acceleration, which therefore needs a bound.
+    power. The power is linear in the rotor acceleration. A minimum of the energy therefore requires
+    a bound on this acceleration.
 
     Parameters
     ----------
@@ -292,9 +291,9 @@ def declare_efficiency_power(m: ConcreteModel, name: str) -> None:
     """Declare the power model `efficiency`: shaft power divided by f_r(tau, omega), eq. (8).
 
     f_r is the efficiency polynomial of Yacef et al., recovered from two public re-implementations.
-    The torque in f_r has the smooth lower limit `torque_floor`, and the value of f_r the smooth
-    lower limit `efficiency_floor`. The optimum depends on the mesh and on the bound on the rotor
-    acceleration.
+    Its torque and value have the smooth lower limits `torque_floor` and `efficiency_floor`. The
+    optimum depends on the mesh and on the bound on the rotor acceleration, because the power is not
+    convex in this acceleration.
 
     Parameters
     ----------
@@ -380,7 +379,7 @@ def declare_motor_power_with_friction(m: ConcreteModel, name: str) -> None:
 def _declare_floor(m: ConcreteModel) -> None:
     """Declare the power of each rotor as a smooth max(P, 0), for a mission without regeneration.
 
-    P is the expression `uncredited_power`, which the block `power` of the model `m` already has.
+    P is the expression `uncredited_power` in block `power`.
     """
     b = m.power
 

@@ -88,8 +88,8 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
         Model that already declares `vehicle`, `rotors`, `aerodynamics` and the states of
         `rigid_body`.
     scenario : Scenario
-        Scenario whose field `vehicle.attitude` selects the yaw balance: the exact balance or the
-        paper's balance. The paper's balance omits the reaction of the body to accelerating rotors.
+        Scenario whose field `vehicle.attitude` selects the yaw balance: exact, or that of the
+        paper, which omits the reaction of the body to accelerating rotors.
     """
     _declare_force_balances(m.rigid_body, m)
     _declare_tilting_balances(m.rigid_body, m)
@@ -97,19 +97,14 @@ def declare_balances(m: ConcreteModel, scenario: Scenario) -> None:
 
 
 def _straight_line(start: float, goal: float, duration: float) -> Callable[[Block, float], float]:
-    """Return a Pyomo rule for the initial guess of a state: linear in time from start to goal.
-
-    `start` and `goal` are values in the state's unit, and `duration` is the duration of the flight
-    [s].
-    """
+    """Return a Pyomo rule for the initial guess of a state: linear in time from start to goal."""
     return lambda _b, t: start + (goal - start) * t / duration
 
 
 def _from_place_to_place(scenario: Scenario, axis: int) -> Callable[[Block, float], float]:
     """Return a Pyomo rule for the initial guess of one position coordinate over time [m].
 
-    The guess is linear in time between start, waypoints and goal, and constant during a hover at a
-    waypoint. `axis` is 0, 1 or 2 for x, y or z.
+    The guess is linear in time between start, waypoints and goal, and constant during a hover.
     """
     places = [position[axis] for position in scenario.mission.positions]
     times = [0.0, *scenario.nominal_times]
@@ -158,8 +153,7 @@ def turning(b: Block, t: float) -> NumericExpression:
     """Return dpsi/dt cos(theta) [rad/s], for the yaw angle psi and the pitch angle theta.
 
     In terms of the body rates, it is q sin(phi) + r cos(phi), exact if `vehicle.attitude` is
-    "euler". `b` is the block `rigid_body`, and `t` the time in flight [s]. If the heading is
-    constant, a constraint limits the magnitude.
+    "euler". `b` is the block `rigid_body`, and `t` the time in flight [s].
     """
     return b.q[t] * sin(b.phi[t]) + b.r[t] * cos(b.phi[t])
 
@@ -235,18 +229,9 @@ BODY_AXES: tuple[BodyAxis, ...] = (forward_axis, left_axis, thrust_axis)
 def _moment(m: ConcreteModel, name: str, t: float) -> NumericExpression:
     """Return the moment of rotors and aerodynamic forces about a body axis [N m].
 
-    The moment of the rotors comes from their thrust and drag torque. The aerodynamic moment comes
-    from rotor drag and translational lift, if the vehicle has these forces.
-
-    Parameters
-    ----------
-    m : ConcreteModel
-        The mission's model.
-    name : str
-        "roll_moment", "pitch_moment" or "yaw_moment".
-    t : float
-        Time in flight [s].
+    `name` is "roll_moment", "pitch_moment" or "yaw_moment".
     """
+    # The aerodynamic moment comes from rotor drag and translational lift, if the vehicle has them.
     of_rotors, of_air = m.rotors.component(name)[t], m.aerodynamics.component(name)
     return of_rotors if of_air is None else of_rotors + of_air[t]
 
@@ -295,9 +280,8 @@ def _declare_tilting_balances(b: Block, m: ConcreteModel) -> None:
 def _declare_yaw_balance(b: Block, m: ConcreteModel, attitude: Attitude) -> None:
     """Declare the moment balance about body z.
 
-    If `attitude` is "euler", the balance includes the reaction moment of accelerating rotors on the
-    body, which the paper (Yacef et al.) omits. The balance is added to `b`, the block `rigid_body`
-    of the model `m`.
+    The balance of attitude "euler" includes the reaction moment of accelerating rotors on the body,
+    which the paper (Yacef et al.) omits.
     """
     is_exact = attitude is Attitude.EULER
     what = " with the rotors' reaction: body z" if is_exact else ": moment balance about body z"

@@ -30,13 +30,9 @@ def _by_rotor(
 def parameters_of(scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the model parameters for positions and directions of rotation of the rotors.
 
-    The result depends on the rotor layout:
-
-    - Standard cross of four rotors: usually empty, because eq. (7) of Yacef et al. contains the
-      geometry of the cross.
-    - Standard cross with rotor drag or translational lift: the positions, because these forces
-      depend on the airspeed at each rotor.
-    - Any other layout: the positions and the directions of rotation.
+    The standard cross of four rotors, which eq. (7) of Yacef et al. describes, has positions only
+    if there is rotor drag or translational lift. These forces depend on the airspeed at each rotor.
+    Any other layout has positions and directions of rotation.
     """
     vehicle = scenario.vehicle
     ahead = Parameter(
@@ -108,10 +104,10 @@ _NOMINAL_ACCELERATION = 1e3
 def declare_rotors(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare rotor speeds, their accelerations and the mixer in block `rotors`.
 
-    Speeds are states and accelerations are controls. The mixer gives total thrust [N], moments
-    about the body axes [N m], and the speed imbalance [rad/s]: the sum of the rotor speeds, signed
-    by the direction of rotation. With `vehicle.attitude` "euler", `yaw_reaction` [N m] is the
-    moment of accelerating rotors on the body.
+    Speeds are states and accelerations are controls. The mixer consists of total thrust [N],
+    moments about the body axes [N m], and speed imbalance [rad/s]: the sum of the rotor speeds,
+    signed by the direction of rotation. If `vehicle.attitude` is "euler", the block also has
+    `yaw_reaction`, the moment of accelerating rotors on the body [N m].
 
     Parameters
     ----------
@@ -179,8 +175,7 @@ def _declare_mixer(b: Block, m: ConcreteModel) -> None:
 def _declare_mixer_of_places(b: Block, m: ConcreteModel) -> None:
     """Declare thrust, moments and speed imbalance for any planar rotor layout.
 
-    The expressions over time are added to `b`, the block `rotors` of the model `m`. For a standard
-    cross of four rotors, they equal eq. (7) of Yacef et al.
+    For a standard cross of four rotors, they equal eq. (7) of Yacef et al.
     """
 
     @b.Expression(b.rotor, m.time, doc="thrust of one rotor [N]")

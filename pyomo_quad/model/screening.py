@@ -65,13 +65,7 @@ class Finding:
 class _Interval:
     """Interval of values that one declaration permits for a variable.
 
-    Attributes
-    ----------
-    source : str
-        The declaration, in words for messages: "bounds of NAME" for the bounds of a variable, or
-        the name of a constraint.
-    lower, upper : float
-        Ends of the interval, infinite where there is no limit.
+    `source` is "bounds of NAME" or the name of a constraint. An end without a limit is infinite.
     """
 
     source: str
@@ -82,15 +76,10 @@ class _Interval:
 def screen_model(model: ConcreteModel) -> tuple[Finding, ...]:
     """Return findings on the variables and limits of a model.
 
-    The checks find:
-
-    - variables without a scaling factor,
-    - controls without bounds,
-    - limits that are never active, because another limit of the variable is tighter,
-    - limits that contradict each other,
-    - equality constraints that set a variable to a value outside its limits.
-
-    Limits are the bounds of a variable and linear constraints of one variable alone.
+    The checks find variables without a scaling factor and controls without bounds. They also find
+    limits of a variable that are never active or contradict each other, and equality constraints
+    that set a variable to a value outside its limits. Limits are bounds and linear constraints of
+    one variable alone.
 
     Parameters
     ----------
@@ -170,8 +159,8 @@ def _is_enclosed(intervals: list[_Interval]) -> bool:
 def _intervals(model: ConcreteModel) -> dict[str, list[_Interval]]:
     """Return the intervals of values that a model permits for each variable, by its name.
 
-    The bounds of a variable give one interval. Each linear inequality constraint with this variable
-    alone gives a further interval.
+    They come from the variable's bounds and from linear inequality constraints of this variable
+    alone.
     """
     found = defaultdict[str, list[_Interval]](list)
     for variable in _variables(model):
@@ -335,8 +324,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     Returns
     -------
     ModelInspection
-        The counts and the unit errors. A variable or constraint over time is counted once, at the
-        middle member of the set of times.
+        The counts and the unit errors.
 
     Examples
     --------
@@ -346,6 +334,7 @@ def inspect_model(model: ConcreteModel) -> ModelInspection:
     (4, True)
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
+    # Each component over time is counted at one time only.
     instant = sorted(time)[len(time) // 2]
     derivatives = list(model.component_objects(DerivativeVar, descend_into=True))
     differentiated = {derivative.get_state_var().name for derivative in derivatives}
@@ -418,9 +407,9 @@ def _over_time(model: ConcreteModel, kind: type, time: ContinuousSet) -> list[In
 def instances(component: IndexedComponent, instant: float) -> list[ComponentData]:
     """Return the members of a time-indexed component whose time is `instant`.
 
-    A component that is indexed by rotor and time, for example, has one such member per rotor. A
-    component without members at this time, such as a limit in a hover, gives those at its first
-    time.
+    A component that is indexed by rotor and time, for example, has one member per rotor. If a
+    component has no members at `instant`, such as a limit during a hover, its members at its first
+    time are returned.
     """
     at: set[Any] = {_as_tuple(index)[-1] for index in component}
     time = instant if instant in at else min(at, default=instant)

@@ -75,8 +75,9 @@ BREACHES = ("soft.most", "soft.above", "soft.below")
 def usual_price(scenario: Scenario) -> float:
     """Return the initial penalty per unit of violation of a soft limit [J per unit].
 
-    A violation of one unit (such as 1 m) costs the energy that lifts the vehicle by 300 m. For the
-    penalty above which no avoidable violation remains, see docs/theory/soft_limits.md, eq. (2).
+    With this penalty, a violation of one unit (such as 1 m) costs the energy that lifts the vehicle
+    by 300 m. Equation (2) of docs/theory/soft_limits.md gives the penalty above which no avoidable
+    violation remains.
     """
     return _LIFTED_M * scenario.vehicle.total_mass * scenario.gravity
 
@@ -121,8 +122,8 @@ def soften(m: ConcreteModel, scenario: Scenario) -> None:
 def _soften_limit(b: Block, limit: Constraint) -> None:
     """Replace a path constraint by a soft constraint for each of its bounds, lower and upper.
 
-    Both contain the same variable `most[limit.name]` of `b`, the block `soft`: the largest
-    violation of the constraint over time. The original constraint `limit` is deactivated.
+    The variable `most[limit.name]` of block `soft` is the largest violation of either bound over
+    time.
     """
     name, stated = limit.name, function_of(limit)
     unit = units.get_units(limit[next(iter(limit))].body)
@@ -152,11 +153,9 @@ def _soften_limit(b: Block, limit: Constraint) -> None:
 
 
 def _soften_condition(b: Block, condition: Constraint) -> None:
-    """Replace an equality constraint at one time by a soft constraint.
+    """Replace an equality constraint at one time by a soft constraint in `b`, the block `soft`.
 
-    `condition` is the equality constraint; it is deactivated. The soft constraint is added to `b`,
-    the block `soft`. This block already has the variables `above` and `below`, the violations
-    upwards and downwards.
+    The variables `above` and `below` of the block are the violations upwards and downwards.
     """
     held = [index for index in condition if condition[index].active]
 

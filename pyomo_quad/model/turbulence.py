@@ -76,12 +76,10 @@ LONG_RUN_FACTOR[1:3, 1:3] = LONG_RUN_FACTOR[3:5, 3:5] = _LAGGING
 
 
 def _mean_direction(scenario: Scenario) -> float:
-    """Return the direction of the mean airflow over the vehicle, counter-clockwise from x [rad].
-
-    The mean airflow is the mean wind minus the mean velocity of the flight from start to goal.
-    """
+    """Return the direction of the mean airflow over the vehicle, counter-clockwise from x [rad]."""
     mission = scenario.mission
     way = np.subtract(mission.goal.position, mission.start.position)[:2]
+    # Mean wind minus the mean velocity of the flight from start to goal.
     along, aside = (mean_wind(scenario) - way / scenario.nominal_duration).tolist()
     return atan2(aside, along)
 
@@ -131,8 +129,8 @@ def vertical_length(height: Any) -> Any:
 def vertical_deviation(wind_at_6_m: Any) -> Any:
     """Return the standard deviation sigma_w of gusts [m/s]: MIL-F-8785C, section 3.7.3.4.
 
-    sigma_w is the standard deviation of the vertical gusts. It is a tenth of `wind_at_6_m`, the
-    mean wind at 6 m above the ground [m/s].
+    The gusts are vertical. sigma_w is a tenth of `wind_at_6_m`, the mean wind at 6 m above the
+    ground [m/s].
     """
     return 0.1 * wind_at_6_m
 
@@ -191,9 +189,8 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body` and, in block `wind`, the mean wind. Call
-        this function before declaring any equation that refers to the wind, because the Pyomo
-        expressions of the wind are replaced.
+        Model that already declares `time`, `rigid_body` and the mean wind, but no equation that
+        refers to the wind: the expressions of the wind are replaced.
     scenario : Scenario
         Scenario whose table ``wind.turbulence`` gives the intensity of the turbulence.
     """
@@ -216,8 +213,7 @@ def declare_turbulence(m: ConcreteModel, scenario: Scenario) -> None:
 def _declare_scales(b: Block, m: ConcreteModel) -> None:
     """Declare height, standard deviations, crossing speed and rates V / L of the filters.
 
-    The height is clipped to the range for which the specification holds. All are expressions over
-    time in `b`, the block `wind.turbulence` of the model `m`.
+    The height is clipped to the range for which the specification holds.
     """
 
     @b.Expression(m.time, doc="h: height at which the laws are read [m]")
@@ -258,8 +254,7 @@ def _declare_scales(b: Block, m: ConcreteModel) -> None:
 def _declare_filters(b: Block, m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the states, the white noise and the differential equations of the filters.
 
-    The initial values of the states are random, from the seed of the scenario. All components are
-    added to `b`, the block `wind.turbulence` of the model `m`.
+    The initial values of the states are random, from the seed of the scenario.
     """
     begun = Gusts.of(scenario).start
     for full_name in NOISE:
@@ -316,8 +311,7 @@ def _declare_gusts(b: Block, m: ConcreteModel) -> None:
 def _add_gusts(m: ConcreteModel) -> None:
     """Redefine the wind velocity along each world axis as mean wind plus gust.
 
-    Along the horizontal axes, the error of the wind forecast is added, too. `m` is a model that
-    already declares the mean wind, the gusts and the forecast error.
+    Along the horizontal axes, the error of the wind forecast is added, too.
     """
     b = m.wind.turbulence
     turned = {
@@ -385,8 +379,8 @@ class Gusts:
     def noise(self, duration: float) -> FloatArray:
         """Return the white noise of a flight, constant over time steps of length `NOISE_STEP` [s].
 
-        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, flights of different
-        duration have the same noise as long as both last.
+        The variance of the noise is 1 / `NOISE_STEP`. With the same seed, the noise of a longer
+        flight begins with the noise of a shorter flight.
 
         Parameters
         ----------

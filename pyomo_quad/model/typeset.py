@@ -83,8 +83,8 @@ def typeset_equations(model: ConcreteModel) -> tuple[TypesetEquation, ...]:
     Returns
     -------
     tuple of TypesetEquation
-        In the order of declaration; a component over rotors gives one equation with the index j. A
-        component over another set gives the equation of its first member.
+        Equations in the order of declaration, one for each component. The equation of an indexed
+        component is that of its first member; the index of rotor 1 is written as j.
     """
     time = next(model.component_objects(ContinuousSet, descend_into=True))
     instant = sorted(time)[len(time) // 2]
@@ -126,8 +126,7 @@ def _index(data: ComponentData) -> tuple[Hashable, ...]:
 class _Writer:
     """Writer of Pyomo expressions as LaTeX.
 
-    If `has_free_index` is true, the given expressions are those of rotor 1. The writer replaces the
-    index 1 by j, so that the LaTeX text holds for every rotor.
+    If `has_free_index` is true, the index of rotor 1 is written as j, for any rotor.
     """
 
     def __init__(self, *, has_free_index: bool) -> None:

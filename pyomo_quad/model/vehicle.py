@@ -60,8 +60,8 @@ def parameters_of(_scenario: Scenario) -> tuple[Parameter, ...]:
 def declare_vehicle(m: ConcreteModel, scenario: Scenario) -> None:
     """Declare the vehicle's parameters and the releases of payloads in block `vehicle`.
 
-    If payloads are released, the parameter `is_left`, by waypoint and time, is 0 until the vehicle
-    leaves the waypoint, and 1 afterwards.
+    If payloads are released, the parameter `is_left[waypoint, time]` is 0 until the vehicle leaves
+    the waypoint, and 1 afterwards.
 
     Parameters
     ----------

@@ -20,8 +20,8 @@ height, so that the wind below is constant. The smooth maximum increases with h.
 1e-12 m at half a metre above the lowest height.
 
 A wind measured over heights is a cubic spline in the height above the ground, constant below the
-lowest and above the highest measurement, with a smooth transition. (In a wind field, however,
-heights are coordinates z.)
+lowest and above the highest measurement, with a smooth transition. In a wind field, by contrast,
+heights are coordinates z.
 
 A wind measured over time is a cubic spline in the wind time, constant after the last measurement.
 It is twice differentiable, so that the duration and the passing times of waypoints may be variables
@@ -102,10 +102,7 @@ def _measured_heights(wind: Wind) -> tuple[float, ...]:
 
 
 def _least_height(wind: Wind) -> float:
-    """Return the lowest height above ground at which the wind of a scenario is defined [m].
-
-    The result is the lowest measured height or, for a wind profile, max(0.1 m, roughness length).
-    """
+    """Return the lowest height above ground at which the wind of a scenario is defined [m]."""
     if wind.profile is not None:
         # The logarithmic law is not valid below the roughness length.
         return max(_LEAST_HEIGHT_M, wind.profile.roughness or 0.0)
@@ -171,8 +168,7 @@ def _angular_frequencies(scenario: Scenario, name: str) -> dict[int, float]:
 def _axis_parameters(name: str, scenario: Scenario) -> tuple[Parameter, ...]:
     """Return the parameters of eqs. (11) and (12) of Yacef et al. along the world axis `name`.
 
-    The parameters are the mean, the harmonics and the gust of one component of the wind. The result
-    is empty if the wind comes from a file.
+    The result is empty if the wind comes from a file.
     """
     of_axis = (
         Parameter(name="mean", units=_SPEED, value=lambda s: _mean(s, name), doc="v_0: mean value"),
@@ -207,11 +203,10 @@ def declare_wind(m: ConcreteModel, scenario: Scenario) -> None:
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time`, `rigid_body`, an empty block `wind`, and `clock`. The
-        parameter `clock` is the time in flight, in a form that equations can contain.
+        Model that already declares `time`, `rigid_body`, an empty block `wind`, and the parameter
+        `clock`, the time in flight.
     scenario : Scenario
-        Holds the wind: the formula of eqs. (11) and (12) of Yacef et al., a table of measurements
-        over time, height or both, or a field over places.
+        Source of the wind: formula, measurements over time, height or both, or a field over places.
     """
     b, wind = m.wind, scenario.wind
     declare_parameters(b, scenario)
@@ -249,10 +244,9 @@ def _of_field(part: Expression, _b: Block, t: float) -> NumericExpression:
 
 
 def _declare_height(b: Block, m: ConcreteModel) -> None:
-    """Declare the height above ground at which the wind is evaluated, with a smooth lower limit.
+    """Declare the height above ground at which the wind is evaluated [m], at least `least_height`.
 
-    The limit is the parameter `least_height`. The height is an expression over time in `b`, the
-    block `wind` of the model `m`.
+    The lower limit is smooth.
     """
 
     @b.Expression(m.time, doc="height above the least height [m]")
@@ -267,8 +261,7 @@ def _declare_height(b: Block, m: ConcreteModel) -> None:
 def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
     """Declare the ratio of the wind at the vehicle's height to the wind at the reference height.
 
-    The ratio is an expression over time in `b`, the block `wind` of the model `m`. The docstring of
-    this module has the two laws.
+    The docstring of this module has the two laws.
     """
 
     def power(b: Block, t: float) -> NumericExpression:
@@ -284,11 +277,9 @@ def _declare_profile(b: Block, m: ConcreteModel, law: WindLaw) -> None:
 
 
 def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpression:
-    """Return the wind at the vehicle's height [m/s].
+    """Return the wind at the vehicle's height [m/s], given the wind `velocity` at h_r [m/s].
 
-    `velocity` is the wind at the reference height of the wind profile [m/s]. Without a wind
-    profile, the result is `velocity` itself. `b` is the block `wind`, and `t` the time in flight
-    [s].
+    Without a wind profile, the two are equal. h_r is the reference height of the profile.
     """
     profile = b.component("profile")
     return velocity if profile is None else profile[t] * velocity
@@ -297,9 +288,8 @@ def _at_height(b: Block, t: float, velocity: NumericExpression) -> NumericExpres
 def still_air(m: ConcreteModel) -> dict[str, float | Callable[[float], float]]:
     """Return the parameter values that set the wind of a model to zero, by full name.
 
-    A value is zero or, for a parameter over time, a function that returns zero. A full name is a
-    name such as "wind.x.mean". If a user's own wind has no mutable parameters with the unit of a
-    speed, it is not changed.
+    The result has all mutable parameters of block `wind` with the unit of a speed, such as
+    "wind.x.mean". The value of a parameter over time is a function that returns zero.
     """
     calm: dict[str, float | Callable[[float], float]] = {}
     block = m.component("wind")
@@ -338,23 +328,10 @@ def _add_velocity(
     rule: Callable[[Block, float], NumericExpression],
     said: str = "wind",
 ) -> None:
-    """Declare the wind along the world axis `name` as an expression over time [m/s].
+    """Declare the wind along the world axis `name` at the vehicle's height, over time [m/s].
 
-    If the scenario has a wind profile, the expression is the wind at the vehicle's height.
-
-    Parameters
-    ----------
-    b : Block
-        Block `wind`, to which the expression is added.
-    m : ConcreteModel
-        The mission's model.
-    name : str
-        World axis.
-    rule : callable
-        Pyomo rule: takes the block and the time in flight [s], returns the wind at the reference
-        height of the profile [m/s].
-    said : str, optional
-        Start of the expression's documentation text, as in "wind along world x".
+    The Pyomo rule `rule` returns the wind at the reference height [m/s]. `said` begins the
+    documentation text.
     """
 
     def velocity(b: Block, t: float) -> NumericExpression:
@@ -365,10 +342,9 @@ def _add_velocity(
 
 
 def _velocity(name: str, b: Block, t: float) -> NumericExpression:
-    """Return the wind along one world axis as the sum of mean, harmonics and gust [m/s].
+    """Return the wind along one world axis, the sum of mean, harmonics and gust [m/s].
 
-    The sum is eq. (11) of Yacef et al. `name` is the axis, "x" or "y", `b` the block `wind`, and
-    `t` the time in flight [s].
+    The sum is eq. (11) of Yacef et al.
     """
     axis, wind_time = b.component(name), b.wind_time[t]
     harmonics = sum(axis.amplitudes[k] * sin(axis.frequencies[k] * wind_time) for k in HARMONICS)
@@ -415,18 +391,8 @@ def _measured(components: Sequence[str], b: Block, t: float) -> NumericExpressio
 def _declare_shapes(b: Block, m: ConcreteModel, heights: FloatArray) -> None:
     """Declare the basis functions of the spline over height, for a wind measured at some heights.
 
-    Below the lowest and above the highest measured height, the spline is constant. The transition
-    has the width `HEIGHT_SMOOTHING`, 0.1 m.
-
-    Parameters
-    ----------
-    b : Block
-        Block `wind`. It receives the basis functions at the vehicle's height, as expressions over
-        time.
-    m : ConcreteModel
-        The mission's model.
-    heights : ndarray
-        Heights at which the wind was measured [m].
+    Below the lowest and above the highest measurement, the functions are constant, after a smooth
+    transition.
     """
     shares, functions = _shares(heights), _truncated_powers(_shares(heights))
 
@@ -451,10 +417,9 @@ def _shares(heights: FloatArray) -> FloatArray:
 
 
 def _shapes(heights: FloatArray) -> FloatArray:
-    """Return the values of the spline's basis functions at the measured heights, as a matrix.
+    """Return the values of the spline's basis functions at the measured heights.
 
-    The matrix has one row per height and one column per basis function. `heights` are the measured
-    heights [m].
+    The matrix has one row per height and one column per function.
     """
     shares = _shares(heights)
     return np.column_stack([[f(share) for share in shares] for f in _truncated_powers(shares)])
@@ -463,10 +428,10 @@ def _shapes(heights: FloatArray) -> FloatArray:
 def _truncated_powers(shares: FloatArray) -> list[Callable[[Any], Any]]:
     """Return the truncated power basis of a cubic not-a-knot spline in height.
 
-    The functions of a scaled height h are 1, h, h^2, h^3 and max(h - k, 0)^3 for each inner knot k.
-    Three heights give the degree 2, two heights the degree 1. `shares` are the measured heights,
-    scaled to the range from 0 to 1.
+    The functions of the height h, scaled to 0 to 1, are 1, h, h^2, h^3, and max(h - k, 0)^3 for
+    each inner knot k.
     """
+    # Three heights permit only a parabola, two heights a line.
     degree = min(_CUBIC, len(shares) - 1)
     begun = [partial(_power_from, float(share)) for share in shares[2:-2]]
     return [*(partial(_power, degree=n) for n in range(degree + 1)), *begun]
@@ -492,19 +457,8 @@ _ROWS_BESIDE = 30
 class _OverTime:
     """Wind speed along one axis, measured over time, as a spline that a Pyomo model can evaluate.
 
-    After the last measurement, the speed is constant, with a smooth transition. If the wind was
-    measured over time and height, the object gives one coefficient of the spline over height,
-    instead of the speed.
-
-    Parameters
-    ----------
-    times : sequence of float
-        Times of the measurements, ascending [s].
-    speeds : ndarray
-        Wind speed, or coefficient of the spline over height, at each of these times [m/s].
-    scenario : Scenario
-        Scenario with the start of the flight on the time axis of the measurements, and with the
-        longest duration of the flight.
+    If the wind was measured over time and height, `speeds` are values of one coefficient of the
+    spline over height.
     """
 
     def __init__(self, times: Sequence[float], speeds: FloatArray, scenario: Scenario) -> None:
@@ -523,14 +477,15 @@ class _OverTime:
     def rule(self, _b: Block, t: Any) -> Any:
         """Return the wind speed at a time in flight [m/s], as a Pyomo rule.
 
-        If `t` is a number, the result is a number; if `t` is a Pyomo expression, so is the result.
-        The result has no Pyomo unit.
+        A number `t` gives a number, a Pyomo expression `t` an expression. The result has no Pyomo
+        unit.
         """
         if isinstance(t, int | float):
             return float(self._spline(self._until(t, self._end)))
         return self._table(self._until(t, float(self._spline.x[self._rows][-1])))
 
     def _until(self, t: Any, end: float) -> Any:
+        # After the last measurement, the wind is constant.
         return end - smooth_positive(end - (t + self._offset), self._width)
 
     @cached_property

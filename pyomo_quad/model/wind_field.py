@@ -71,9 +71,9 @@ def declare_field(m: ConcreteModel, grid: WindGrid, scenario: Scenario) -> list[
     Parameters
     ----------
     m : ConcreteModel
-        Model that already declares `time` and `rigid_body`. Its block `wind` already declares
-        `wind_time`, the time on the time axis of the wind data [s], and the factor `field_unit`
-        [m/s], by which the splines are multiplied. The block receives splines and components.
+        Model that already declares `time`, `rigid_body` and, in block `wind`, the time `wind_time`
+        of the wind data [s] and the factor `field_unit` of the splines [m/s]. The block receives
+        splines and components.
     grid : WindGrid
         Grid points and wind components of the field.
     scenario : Scenario
@@ -119,8 +119,7 @@ def _arguments(b: Block, grid: WindGrid, t: float) -> list[Any]:
 def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
     """Return a coordinate or time of the vehicle, clipped smoothly to the range of a grid axis.
 
-    `argument` is the coordinate or time as a Pyomo expression. `axis` holds the values at the grid
-    points as numbers, and `unit` is their Pyomo unit.
+    `axis` holds the values at the grid points as numbers, and `unit` is their Pyomo unit.
     """
     width = _PASSING_STEPS * float(np.diff(axis).min()) * unit
     first, last = float(axis[0]) * unit, float(axis[-1]) * unit
@@ -129,23 +128,16 @@ def _clipped_to_axis(argument: Any, axis: FloatArray, unit: Any) -> Any:
 
 
 def _filled(grid: WindGrid) -> tuple[list[FloatArray], FloatArray]:
-    """Return the axes of a wind field's grid and the wind on it, prepared for a cubic spline.
+    """Return axes and values of a wind field without gaps, with four or more points on each axis.
 
-    Grid points without wind get the wind of the nearest point with wind. Axes with fewer than four
-    points are resampled at four points.
-
-    Returns
-    -------
-    axes : list of ndarray
-        Coordinates of the grid points along x, y and, if the field has them, z [m] and time [s].
-    values : ndarray, shape (n_components, *grid)
-        Wind components [m/s]. They are not multiplied by the scenario's factor `wind.field_scale`.
-        The first array axis is the component, the other array axes are those of the grid.
+    The first array axis of the values [m/s] is the wind component. They lack the factor
+    `wind.field_scale`.
     """
     from scipy.interpolate import BarycentricInterpolator  # noqa: PLC0415  for fields alone
 
     values, axes = with_nearest_wind(grid), [np.array(axis) for axis in grid.axes]
     for number, axis in enumerate(axes):
+        # A cubic spline needs four points; the polynomial through fewer points is resampled.
         if axis.size < _SPLINE_POINTS:
             axes[number] = np.linspace(axis[0], axis[-1], _SPLINE_POINTS)
             through = BarycentricInterpolator(axis, values, axis=number + 1)
@@ -174,9 +166,8 @@ def with_nearest_wind(grid: WindGrid) -> FloatArray:
 def wind_corners(scenario: Scenario) -> FloatArray:
     """Return corners of a polyhedron that contains every wind that a flight may meet in a field.
 
-    The polyhedron, in the space of wind velocities, contains the control points of the wind's
-    spline in all cells that flights may enter. It therefore contains the wind in these cells. See
-    docs/theory/bound.md, eq. (21).
+    The polyhedron contains the control points of the wind's spline in all cells that flights may
+    enter. It therefore contains the wind in these cells. See docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -186,10 +177,8 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     Returns
     -------
     ndarray, shape (n, 3)
-        Wind components along x, y and z [m/s] at the n corners. The polyhedron is a prism. Its base
-        is the smallest octagon, with sides of fixed and equally spaced directions, that contains
-        the horizontal components of all control points. Along z, the prism extends from the least
-        to the greatest vertical component.
+        Wind components along x, y and z [m/s] at the n corners. The polyhedron is a prism along z
+        with an octagon as base.
 
     Raises
     ------
@@ -200,6 +189,8 @@ def wind_corners(scenario: Scenario) -> FloatArray:
     winds = points[:, is_open]
     angles = 2 * np.pi * np.arange(_SIDES) / _SIDES
     sides = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    # The smallest octagon of these directions that contains the horizontal wind of all control
+    # points.
     reach = (sides @ winds[:2]).max(axis=1)
     # Two neighbouring sides meet where both of their distances from the origin are reached.
     corners = [
@@ -218,17 +209,8 @@ def _controlled(
 ) -> tuple[list[FloatArray], FloatArray, NDArray[np.bool_]]:
     """Return axes and control points of a wind field, and which points are in permitted cells.
 
-    A cell is permitted if flights may enter it. `scenario` must have a wind field.
-
-    Returns
-    -------
-    axes : list of ndarray
-        Coordinates of the grid points along x, y and, if the field has them, z [m] and time [s].
-    points : ndarray, shape (n_components, *counts)
-        Control points [m/s]. The first array axis is the wind component. `counts` are the numbers
-        of control points along the axes of the grid: four times the number of cells.
-    is_open : ndarray of bool, shape counts
-        Whether a flight may enter the cell to which a control point belongs.
+    The first array axis of the control points [m/s] is the wind component. Along each further axis,
+    every cell has four points.
     """
     grid = scenario.wind.grid
     if grid is None:
@@ -253,9 +235,9 @@ class ColumnWinds:
     x, y : ndarray, shapes (nx + 1,) and (ny + 1,)
         Edges of the columns [m].
     low, high : ndarray, shape (2, nx, ny)
-        Lower and upper bounds of the wind in each column [m/s]. Index 0 is the wind along x, index
-        1 the wind along y. The bounds hold at all times and heights of the grid cells that a flight
-        may enter. In a column that no flight may enter, `low` is inf and `high` is -inf.
+        Lower and upper bounds of the wind along x (index 0) and y (index 1) in each column [m/s],
+        for the cells that a flight may enter. In a column that no flight may enter, `low` is inf
+        and `high` is -inf.
     is_open : ndarray of bool, shape (nx, ny)
         Whether a flight may enter the column.
     """
@@ -270,9 +252,9 @@ class ColumnWinds:
 def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     """Return bounds of the horizontal wind in each vertical column of a wind field's grid.
 
-    A column consists of all cells at one horizontal position. Its bounds are the least and greatest
-    control point of the wind's spline in those of its cells that flights may enter. See
-    docs/theory/bound.md, eq. (21).
+    A column consists of all cells at one horizontal position. Only cells that flights may enter
+    count. The bounds are the least and the greatest control point of the wind's spline in these
+    cells; see docs/theory/bound.md, eq. (21).
 
     Parameters
     ----------
@@ -282,8 +264,7 @@ def winds_of_columns(scenario: Scenario) -> ColumnWinds:
     Returns
     -------
     ColumnWinds
-        Lower and upper bounds of the wind along x and y in each column [m/s], the edges of the
-        columns [m], and whether a flight may enter a column.
+        Bounds of the wind in each column [m/s].
 
     Raises
     ------
@@ -306,9 +287,8 @@ def winds_of_columns(scenario: Scenario) -> ColumnWinds:
 def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
     """Return the control points (Bernstein coefficients) of the cubic spline through `values`.
 
-    The spline runs along the first array axis of `values`, at the coordinates `axis`. The first
-    array axis of the result holds the four control points of each interval between two coordinates,
-    in order.
+    Along the first array axis, the result has four control points for each interval of `axis`, in
+    order.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for fields alone
 
@@ -327,10 +307,9 @@ def _control_points(axis: FloatArray, values: FloatArray) -> FloatArray:
 
 
 def _near_wind(grid: WindGrid, shape: Sequence[int]) -> NDArray[np.bool_]:
-    """Return for each control point of a wind field whether the wind is known near it.
+    """Return for each control point of a wind field whether its cell has a corner with known wind.
 
-    The wind is known if at least one corner of the point's cell has a value in `grid`. `shape` is
-    the shape of the control points, with the wind component first.
+    `shape` is the shape of the control points, with the wind component first.
     """
     near: NDArray[np.bool_] = np.asarray(np.isfinite(grid.components).all(axis=0))
     for number, count in enumerate(shape[1:]):
@@ -352,8 +331,8 @@ def is_wind_known(
     Parameters
     ----------
     scenario : Scenario
-        Scenario of the flight. The result is true everywhere if the scenario has no wind field, or
-        if its field `wind.beyond` is "hold" (use the nearest known wind).
+        Scenario of the flight. Without a wind field, or if `wind.beyond` is "hold", the result is
+        true everywhere.
     times : ndarray, shape (n,), or float
         Times in flight [s].
     places : ndarray, shape (n, 3)

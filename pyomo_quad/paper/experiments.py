@@ -135,9 +135,9 @@ def fly_baseline_case(case: BaselineCase) -> BaselineFlight:
 def full_speed_energy(experiment: Experiment) -> float:
     """Return the energy of an experiment with all rotors at full speed throughout [J].
 
-    The power is computed with the efficiency f_r. The report compares the result with the energy
-    that Yacef et al. print for adaptive control. A flight takes more energy than this only if its
-    rotors accelerate and brake all the time.
+    The power is computed with the efficiency f_r. Only a flight whose rotors accelerate and brake
+    all the time takes more energy. The report compares this energy with the one that Yacef et al.
+    print for adaptive control.
 
     Parameters
     ----------
@@ -168,8 +168,8 @@ class FlightCase:
     """Settings of an optimal flight of Yacef et al.: experiment, power model, wind and battery.
 
     The paper leaves open how the wind acts, in which unit its frequencies are, and which battery is
-    meant. An object of this class has one choice for each of these questions. If `is_quick` is
-    true, the mesh is coarse and not refined.
+    meant. The fields `coupling`, `frequency_unit` and `battery` choose one possibility each. If
+    `is_quick` is true, the mesh is coarse and not refined.
     """
 
     experiment: Experiment
@@ -207,10 +207,8 @@ class PaperFlight:
     flight : Flight
         The planned flight.
     status : PlanStatus
-        Status of the solve. With the efficiency f_r of Yacef et al., the solve may end without
-        convergence; the optimality of the flight is then unproven. Independently of the
-        convergence, `flight.is_verified` is true if a simulation of the planned controls confirms
-        the flight.
+        Status of the solve. If the solver did not converge, the flight may be verified by
+        simulation (`flight.is_verified`), but its optimality is unproven.
     hover_energy_J : float
         Energy of a hover of equal duration, under the power model of the flight [J].
     end_prices : mapping

@@ -38,8 +38,8 @@ _HEADROOM = 0.6  # space above the energy of hovering [kJ]
 def draw_floors(study: PaperStudy) -> Figure:
     """Draw the least energy of any flight against the bound on the rotor acceleration.
 
-    The bound is on the absolute rotor acceleration. One curve has the efficiency f_r of Yacef et
-    al. with lower limits (regularised), the other the bare polynomial (literal).
+    The bound is on the absolute rotor acceleration. There is one curve for each interpretation of
+    the efficiency f_r in `Reading`.
 
     Parameters
     ----------

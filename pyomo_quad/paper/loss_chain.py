@@ -45,8 +45,8 @@ class EnergyChain:
     copper_loss, shaft : float
         Loss in the motors' windings, and energy supplied to the rotors.
     constant_product : float
-        Torque constant k_t times speed constant k_v of a motor: 1 for a motor that conserves
-        energy, greater than 1 for a motor that would create energy.
+        Torque constant k_t times speed constant k_v of a motor: 1 if the motor conserves energy,
+        greater than 1 if it would create energy.
     """
 
     drawn: float
@@ -58,11 +58,10 @@ class EnergyChain:
 
     @property
     def created(self) -> float:
-        """Shaft energy minus the electrical energy that passes the motors' windings [J].
+        """Shaft energy minus the electrical energy that remains after the loss in the windings [J].
 
         The difference is zero for a real motor, with k_t k_v = 1. The constants that Yacef et al.
-        print have a greater product: the shaft power then exceeds the electromotive force times the
-        current.
+        print have a greater product, and the difference is positive.
         """
         return self.shaft - self.passed
 
@@ -165,11 +164,7 @@ def draw_loss_chain(
 
 
 def _draw_chain(axes: Axes, chain: EnergyChain) -> None:
-    """Draw the energies of a flight as bars, with the losses between the bars.
-
-    `chain` has the energies and losses, from the battery to the rotors. The bars are drawn on
-    `axes`.
-    """
+    """Draw the energies of a flight as bars, with the losses between the bars."""
     lowest = min(chain.passed, chain.shaft)
     margin = _CHAIN_MARGIN * (chain.drawn - lowest)
     left = lowest - margin

@@ -1,9 +1,9 @@
 """Two interpretations of the efficiency f_r of Yacef et al., and solves with each of them.
 
 f_r is the efficiency of motor and rotor. It is a polynomial, which the paper of Yacef et al. does
-not print, and which was recovered from public re-implementations. The polynomial is zero at some
-braking torques. If the rotors may reach these torques, the optimal control problem with the bare
-polynomial has no minimum. The solves are made on fixed meshes, which are not refined.
+not print, and which was recovered from public re-implementations. At some braking torques, the
+polynomial is zero. If the rotors may reach these torques and f_r has no lower limit, the optimal
+control problem has no minimum. The solves are made on fixed meshes.
 """
 
 from dataclasses import dataclass
@@ -32,8 +32,8 @@ _NO_FLOOR = -1e3
 class Reading(StrEnum):
     """Interpretation of the efficiency f_r of Yacef et al., where f_r is small or negative.
 
-    `REGULARISED` has lower limits on torque and efficiency, and braking returns no energy.
-    `LITERAL` has the bare polynomial, and braking returns energy.
+    `REGULARISED` has lower limits on torque and f_r, and braking returns no energy. `LITERAL` has
+    no lower limits, and braking returns energy.
     """
 
     REGULARISED = "regularised"
@@ -60,8 +60,8 @@ class Reading(StrEnum):
 def model_without_battery(scenario: Scenario) -> "ConcreteModel":
     """Build a mission's Pyomo model without the battery.
 
-    For some values of f_r, the current of a battery would be undefined. The energy of a flight does
-    not depend on the battery.
+    Where f_r is zero, the power is infinite, and the current of a battery undefined. The energy of
+    a flight does not depend on the battery.
     """
     m = build_model(scenario)
     m.del_component(m.battery)
@@ -69,9 +69,9 @@ def model_without_battery(scenario: Scenario) -> "ConcreteModel":
 
 
 def literal_model(scenario: Scenario) -> "ConcreteModel":
-    """Build a mission's model in which the efficiency f_r is the bare polynomial.
+    """Build a mission's model in which the efficiency f_r is the polynomial without lower limits.
 
-    The model is without lower limits on torque and efficiency, and without a battery.
+    The torque in f_r has no lower limit either, and the model has no battery.
 
     Parameters
     ----------
@@ -201,21 +201,9 @@ def run_trial(trial: MeshTrial) -> TrialOutcome:
 
 
 def _fly(scenario: Scenario, solution: Solution, priced: Dynamics) -> tuple[float, float]:
-    """Simulate the controls of a solution, and compute the energy under the efficiency f_r.
+    """Simulate the controls of a solution, and return energy [J] and distance from the goal [m].
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario of the solve.
-    solution : Solution
-        Result of the solve, with the controls.
-    priced : Dynamics
-        Equations with f_r, from which the power is computed.
-
-    Returns
-    -------
-    tuple of float
-        Energy [J] (NaN if f_r reaches zero in flight), and distance from the goal at the end [m].
+    The power is computed by `priced`, with f_r. If f_r reaches zero in flight, the energy is NaN.
     """
     # The motion is independent of the power model. The power under f_r is infinite where f_r is
     # zero; the motors' power is finite everywhere.

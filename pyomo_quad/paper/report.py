@@ -106,8 +106,7 @@ def write_paper_report(folder: Path, study: PaperStudy, figures: Figures = Figur
 def _equations() -> Iterator[dict[str, Any]]:
     """Yield the model's equations for the flight in wind, typeset in groups for the report.
 
-    Each group belongs to one variant of the model. Its dict has the heading `title` or None, the
-    power model `power` or None, and the list `equations` of `TypesetEquation`.
+    A group has the items `title` (heading or None), `power` (power model or None) and `equations`.
     """
     seen: set[str] = set()
     groups: tuple[tuple[str | None, PowerModel | None, dict[str, Any]], ...] = (
@@ -171,12 +170,12 @@ def examination(study: PaperStudy) -> dict[str, Any]:
 def _bound_of_printed_optimum(study: PaperStudy) -> float:
     """Return the rotor-acceleration bound that yields the energy printed by Yacef et al. [rad/s²].
 
-    The larger the bound, the smaller the least energy of any flight. At the returned bound, it
-    equals the printed energy of the optimal flight. The least energy is computed with the bare
-    polynomial f_r (`Reading.LITERAL`), and interpolated between bounds.
+    Within this bound, the least energy of any flight under `Reading.LITERAL` is the printed energy
+    of the optimal flight.
     """
     bounds, energies = study.floors[Reading.LITERAL].T
     finite = np.isfinite(energies)
+    # Least energies decrease with the bound; `interp` needs increasing values.
     return float(np.interp(-paper.OPTIMAL_ENERGY[1], -energies[finite], bounds[finite]))
 
 
@@ -184,30 +183,9 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
     """Return numbers to compare with the energy that Yacef et al. print for adaptive control.
 
     The template of the report's text inserts the numbers by their names.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        Results of the study.
-    experiment : Experiment
-        Experiment of the paper for which the numbers are returned.
-
-    Returns
-    -------
-    dict
-        Values by name:
-
-        - the energy [J] and the saving [percent] that the paper prints;
-        - the energy of hovering [J];
-        - the energy of a flight under the adaptive controller along a smooth reference trajectory
-          [J];
-        - the energy of a flight under this controller along a reference that jumps to the goal [J],
-          or along the smooth reference if the study has no flight with a jump;
-        - the energy of all rotors at full speed [J];
-        - the mean power that the printed energy implies [W];
-        - the greatest power that any battery of the study can supply [W].
     """
     has_jump = any(flown.case.reference is Reference.STEP for flown in study.baselines)
+    # Reference trajectories: a smooth one, and one that jumps to the goal if the study has it.
     references = Reference.QUINTIC, Reference.STEP if has_jump else Reference.QUINTIC
     smooth, jump = (
         paper.find_baseline(study, experiment, PowerModel.EFFICIENCY, reference).flight.energy_J
@@ -222,30 +200,17 @@ def _adaptive(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
         "smooth_J": smooth,
         "jump_J": jump,
         "fastest_J": full_speed_energy(experiment),
+        # The mean power that the printed energy implies, and the greatest power of any battery.
         "mean_power_W": printed / optimum.case.scenario.mission.fixed_duration,
         "pack_power_W": max(pack.greatest_power_W for pack in study.packs),
     }
 
 
 def _saving(study: PaperStudy, experiment: Experiment) -> dict[str, Any]:
-    """Compare the energies of the optimal and the controlled flight of an experiment.
+    """Return the report's row that compares optimal and controlled flight of an experiment.
 
-    The controlled flight has the adaptive controller and a smooth reference trajectory. The saving
-    is (controlled - optimal) / controlled energy.
-
-    Parameters
-    ----------
-    study : PaperStudy
-        Results of the study.
-    experiment : Experiment
-        The experiment.
-
-    Returns
-    -------
-    dict
-        Row of the report's table of comparisons, computed with the motors' electrical power: value
-        of each column by its name. The additional item `by_efficiency_percent` is the saving
-        [percent] computed with the efficiency f_r of Yacef et al.
+    Its item `by_efficiency_percent` is the saving under the efficiency f_r of Yacef et al.; all
+    others are under the motors' electrical power.
     """
     by_motor, by_efficiency = (
         paper.baseline_row(study, paper.find_baseline(study, experiment, model, Reference.QUINTIC))

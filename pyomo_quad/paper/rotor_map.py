@@ -3,10 +3,9 @@
 f_r is the efficiency of motor and rotor of Yacef et al. Power and f_r are sampled from the
 equations of the Pyomo model.
 
-The least energy is a lower bound (floor) on the energy of every flight. The bound also holds for
-"chattering" flights, whose rotors alternate arbitrarily fast between speeds and accelerations:
-their mean power is at least the convex envelope of the power. The report's template
-`examination.md.j2` gives the derivation.
+The least energy is a lower bound (floor), even for "chattering" flights, whose rotors alternate
+arbitrarily fast between speeds and accelerations. The mean power of these flights is at least the
+convex envelope of the power. The report's template `examination.md.j2` gives the derivation.
 """
 
 from dataclasses import dataclass
@@ -109,8 +108,8 @@ def envelope_at(x: FloatArray, y: FloatArray, at: float) -> FloatArray:
     Returns
     -------
     ndarray, shape (...)
-        Value of the convex envelope of each function at `at`. It is the least value at `at` of all
-        chords (straight lines) between two samples.
+        Value of the convex envelope of each function at `at`: the least value there of all straight
+        lines between two samples.
     """
     left, right = x <= at, x >= at
     width = x[right][None, :] - x[left][:, None]
@@ -137,9 +136,8 @@ def chattering_floors(
     Returns
     -------
     ndarray, shape (len(bounds), 2)
-        First column: upper bound on the absolute rotor acceleration [rad/s²]. Second column: lower
-        bound on the energy of any flight within this upper bound [J]. The lower bound is minus
-        infinity if f_r reaches zero at a permitted acceleration.
+        First column: the upper bounds [rad/s²]. Second column: the lower bounds on the energy [J],
+        minus infinity if f_r reaches zero at a permitted acceleration.
     """
     scenario = paper_scenario(Experiment.CALM, reading.values())
     largest = max(bounds)
@@ -186,8 +184,8 @@ def floor_energy(scenario: Scenario, sampled: RotorMap, bound: float) -> float:
 def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     """Find the weakest braking of a rotor at which the efficiency f_r reaches zero.
 
-    f_r is a polynomial without lower limit. If the rotors may brake harder than with the returned
-    acceleration, the energy of flights has no minimum.
+    f_r is the polynomial without lower limit. If the permitted braking exceeds the result, the
+    energy of flights has no minimum.
 
     Parameters
     ----------
@@ -198,8 +196,7 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
     -------
     bound, speed : float
         Weakest braking at which f_r is zero, as an absolute rotor acceleration [rad/s²], and the
-        rotor speed at which f_r is zero with this braking [rad/s]. Braking up to 3000 rad/s² is
-        searched.
+        rotor speed of this zero [rad/s]. Braking up to 3000 rad/s² is searched.
     """
     scenario = paper_scenario(Experiment.CALM, Reading.LITERAL.values())
     dynamics = Reading.LITERAL.planner().dynamics(scenario)
@@ -214,15 +211,8 @@ def critical_acceleration(samples: int = 151) -> tuple[float, float]:
 def _last_zero(braking: FloatArray, efficiency: FloatArray) -> float:
     """Return the weakest braking at which a sampled efficiency of the rotor is zero [rad/s²].
 
-    The result is a rotor acceleration, negative because the rotor brakes. It is minus infinity if
-    the efficiency is positive at all samples.
-
-    Parameters
-    ----------
-    braking : ndarray, shape (n,)
-        Rotor accelerations of the samples [rad/s²], ascending to zero.
-    efficiency : ndarray, shape (n,)
-        Efficiency at the samples.
+    The result is a negative acceleration, or minus infinity if all samples are positive. `braking`
+    ascends to zero.
     """
     below = np.flatnonzero(efficiency <= 0.0)
     if not below.size:

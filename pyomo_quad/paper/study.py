@@ -131,10 +131,8 @@ class PaperStudy:
     packs : tuple of PackFacts
         Energy and power of the batteries, compared with hovering.
     floors : dict
-        Array for each of the two interpretations of f_r: limited from below, and the bare
-        polynomial. The array has two columns: an upper bound on the absolute rotor acceleration
-        [rad/s²], and a lower bound on the energy of any flight within it [J]. The lower bound may
-        be minus infinity.
+        Result of `chattering_floors` for each interpretation of f_r in `Reading`: upper bound on
+        the absolute rotor acceleration [rad/s²], and lower bound on the energy of any flight [J].
     critical_acceleration, critical_speed : float
         Weakest braking of a rotor at which f_r reaches zero, as an absolute rotor acceleration
         [rad/s²], and the rotor speed at which this occurs [rad/s].
@@ -174,8 +172,8 @@ def run_paper_study(*, is_quick: bool = False, step: Step | None = None) -> Pape
     is_quick : bool, optional
         Whether to use coarse meshes, and fewer of them.
     step : callable, optional
-        Function that shows the progress. It is called after each result with the name of the
-        result, the number of results so far and the number of all results.
+        Shows the progress. It is called after each result with its name, the number of results so
+        far and the number of all results.
     """
     tasks = _tasks(is_quick=is_quick)
     results: list[Any] = [None] * len(tasks)

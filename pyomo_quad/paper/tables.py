@@ -264,10 +264,9 @@ def _wind_row(flown: PaperFlight) -> dict[str, object]:
 def baseline_row(study: PaperStudy, flown: BaselineFlight) -> dict[str, Any]:
     """Return the table row that compares an adaptive controller's flight with the optimum.
 
-    The optimum is the plan of the experiment under the flight's power model. E is the energy of the
-    flight to the exact goal state (see `settled_energy`), E_min the plan's energy and E_hover the
-    energy of hovering. The columns hold the saving 100 (E - E_min) / E, and the saving of the
-    excess, 100 (E - E_min) / (E - E_hover).
+    The savings are 100 (E - E_min) / E and, for the excess over hovering, 100 (E - E_min) / (E -
+    E_hover). E is the energy of the flight to the exact goal state (`settled_energy`). E_hover is
+    the energy of hovering, and E_min that of the optimal plan under the flight's power model.
 
     Parameters
     ----------

@@ -1,11 +1,11 @@
 """Polar of a vehicle: steady flight over airspeed, with best speeds, range and endurance.
 
-Each point of the polar is a trim: the attitude and the rotor speeds that keep the vehicle in level
-flight at one airspeed. The equations of the scenario's model give the trim and its power P.
+Each point of the polar is a trim: attitude and rotor speeds of level flight at one airspeed. The
+scenario's model gives the trim and its power P. The velocity through the air is the velocity over
+ground minus the wind.
 
-The velocity through the air is the velocity over ground minus the wind. At ground speed g, the
-energy per metre over ground is P / g. If the flight time has a price c [J/s = W], the cost per
-metre is (P + c) / g.
+At ground speed g, the energy per metre over ground is P / g. If the flight time has a price c [J/s
+= W], the cost per metre is (P + c) / g.
 """
 
 from collections.abc import Callable, Sequence
@@ -52,8 +52,8 @@ class SteadyCurve:
     payload_kg : float
         Mass of the payload [kg].
     airspeeds : ndarray, shape (n,)
-        Airspeeds from 0 in steps of 0.5 m/s [m/s]. The last is the greatest that the vehicle can
-        fly, or 39.5 m/s.
+        Airspeeds from 0 in steps of 0.5 m/s [m/s], up to the greatest that the vehicle can fly, but
+        at most 39.5 m/s.
     powers : ndarray, shape (n,)
         Power at each airspeed [W].
     endurances : ndarray, shape (n,)
@@ -113,8 +113,8 @@ class SteadyCurve:
         Returns
         -------
         GroundSpeed
-            The best ground speed, with airspeed, power and endurance. If the wind is too strong for
-            the course, endurance and range are zero, and the speeds have no meaning.
+            The best ground speed, with airspeed, power and endurance. The endurance is zero if the
+            wind is too strong for the course.
         """
         along, across = wind * np.cos(angle), wind * np.sin(angle)
 
@@ -139,10 +139,10 @@ class SteadyCurve:
 
 
 def _least(cost: Callable[[FloatArray | float], FloatArray], trials: FloatArray) -> float:
-    """Return the minimiser of a function of one variable.
+    """Return the minimiser of a function of one variable, near the best of several trials.
 
-    `trials` are arguments of the function `cost`, in ascending order. The result lies between the
-    two neighbours of the trial with the least cost.
+    `trials` are arguments of `cost` in ascending order. The result lies between the neighbours of
+    the best trial.
     """
     best = int(np.argmin(cost(trials)))
     low, high = trials[max(0, best - 1)], trials[min(len(trials) - 1, best + 1)]
@@ -197,15 +197,13 @@ class Polar:
         Curve of each payload: the scenario's own payload, then 10 % and 20 % of the vehicle's mass
         more.
     winds : DataFrame
-        One row for each wind speed [m/s] and each angle [deg] between the course and the direction
-        to which the wind blows. The angles are 0 to 180 degrees; in calm air there is one row, with
-        angle 0. The further columns are best ground speed and airspeed [m/s], power [W], energy per
-        metre over ground [J/m], and range [m]. The best ground speed has the least energy per
-        metre.
+        One row for each wind speed [m/s] and angle [deg] between the course and the direction to
+        which the wind blows: 0 to 180 degrees, in calm air only 0. Further columns are the ground
+        speed of least energy per metre and the airspeed [m/s], power [W], energy per metre over
+        ground [J/m] and range [m].
     reach : DataFrame
-        One row for each course [deg]: ground speed on the way out and on the way back [m/s], and
-        greatest distance [m] from which the vehicle returns to the start on the same battery
-        charge. The wind is the scenario's mean wind.
+        One row for each course [deg] in the mean wind: ground speeds out and back [m/s], and
+        greatest distance [m] from which the vehicle returns on the same battery charge.
     wind_m_s, wind_towards_rad : float
         Speed of the mean wind, and direction to which the wind blows, counter-clockwise from x.
     depth : float
@@ -244,7 +242,8 @@ def find_polar(scenario: Scenario) -> Polar:
     Raises
     ------
     SolveError
-        If the vehicle cannot hover with one of the payloads (see `Polar.curves`).
+        If the vehicle cannot hover with one of the payloads (see `Polar.curves`), or cannot fly at
+        0.5 m/s within its limits.
     """
     planner = Planner()
     depth = 1.0 - scenario.limits.least_charge
@@ -272,8 +271,7 @@ def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> Stea
     """Compute power and endurance of level flight at airspeeds from 0 in steps of 0.5 m/s.
 
     The airspeeds end before thrust, rotor speed, roll or pitch exceeds its limit, or where no
-    steady flight exists. The last possible value is 39.5 m/s. Airspeed 0 is kept even if it exceeds
-    a limit.
+    steady flight exists, at the latest at 39.5 m/s. At airspeed 0 the limits are not checked.
 
     Parameters
     ----------
@@ -288,7 +286,7 @@ def steady_curve(scenario: Scenario, steady: SteadyFlight, depth: float) -> Stea
     Raises
     ------
     SolveError
-        If the vehicle cannot hover.
+        If the vehicle cannot hover, or cannot fly at 0.5 m/s within its limits.
     """
     speeds: list[float] = []
     powers: list[float] = []
@@ -354,25 +352,10 @@ def _winds(curve: SteadyCurve, winds: Sequence[float]) -> pd.DataFrame:
 
 
 def _reach(curve: SteadyCurve, wind: float, towards: float) -> pd.DataFrame:
-    """Return, for each course, the greatest distance from which the vehicle returns to the start.
+    """Return, for each course, how far the vehicle can fly and return on one battery charge.
 
-    The way out and the way back share one battery charge, used down to the least state of charge
-    that the scenario allows.
-
-    Parameters
-    ----------
-    curve : SteadyCurve
-        Power and endurance over airspeed.
-    wind : float
-        Speed of the wind [m/s].
-    towards : float
-        Direction to which the wind blows, counter-clockwise from x [rad].
-
-    Returns
-    -------
-    DataFrame
-        One row for each course: course [deg from x, counter-clockwise], ground speeds out and back
-        [m/s], and greatest distance from the start [m].
+    `wind` is the speed of the wind [m/s]. `towards` is the direction to which it blows,
+    counter-clockwise from x [rad].
     """
     rows = []
     for course in np.linspace(0.0, 2.0 * np.pi, _DIRECTIONS, endpoint=False):

@@ -1,14 +1,14 @@
 """Reach of a vehicle on one battery charge in a wind, one way or out and back.
 
 The flight is straight and level, at the ground speed of least energy per metre in the local wind.
-The wind is that at the start of the mission. Over rising terrain the vehicle climbs to keep the
-floor, the least allowed height above ground. Keep-out zones are ignored.
+The wind is that at the start time of the mission. Over rising terrain the vehicle climbs to keep
+the floor, the least allowed height above ground. Keep-out zones are ignored.
 
-The usable charge is the charge above the least state of charge that the scenario allows. If this
-charge lasts for a range of R metres in the local wind, one metre takes the fraction 1 / R of it.
-Climbs take further fractions, and so does the way back if the vehicle returns. The reach ends where
-all fractions sum to 1, or at the edge of the terrain or wind field. It also ends where the wind is
-too strong.
+The usable charge is the charge above the least state of charge that the scenario allows. If the
+usable charge lasts for R metres in the local wind, one metre takes the fraction 1 / R of it. Climbs
+take further fractions, and so does the way back if the vehicle returns. The reach ends where all
+fractions sum to 1, where the wind is too strong for the course, or at the edge of the terrain or
+wind field.
 """
 
 import json
@@ -62,8 +62,8 @@ class Reach:
         Whether the charge must also suffice for the flight back to the start.
     boundary : DataFrame
         One row for each course: course [deg from x, counter-clockwise], and distance and position
-        of the boundary [m]. A further column tells whether the boundary is the edge of the wind
-        field or of the terrain. On such a course, the vehicle could fly farther.
+        of the boundary [m]. A further column is True if the vehicle could fly farther, but wind
+        field or terrain ends at the boundary.
     depth : float
         Fraction of the battery's capacity that a flight may use: 1 minus the least allowed state of
         charge.
@@ -88,7 +88,7 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
     Raises
     ------
     SolveError
-        If the vehicle cannot hover, or cannot climb over terrain.
+        If the vehicle cannot hover, fly at 0.5 m/s within its limits, or climb over terrain.
     """
     planner = Planner()
     depth, steady = 1.0 - scenario.limits.least_charge, planner.steady_flight(scenario)
@@ -118,22 +118,10 @@ def find_reach(scenario: Scenario, *, has_return: bool) -> Reach:
 
 
 def _heights(scenario: Scenario, along: FloatArray, headings: FloatArray) -> FloatArray:
-    """Return the least heights at which a vehicle that never descends clears the ground.
+    """Return the heights z [m] on each course of a vehicle that climbs where it must.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with start, terrain, and floor of the airspace (the least height above ground).
-    along : ndarray, shape (n_steps,)
-        Distances from the start, in equal steps [m].
-    headings : ndarray, shape (n_courses, 3)
-        Unit vectors of the courses.
-
-    Returns
-    -------
-    ndarray, shape (n_courses, n_steps)
-        Height z at each distance on each course [m]. The vehicle begins at the height of the start,
-        climbs where the floor of the airspace requires, and never descends.
+    The vehicle never descends. `headings` are unit vectors of the courses, shape (n_courses, 3);
+    the result has shape (n_courses, n_steps).
     """
     start, airspace = np.array(scenario.mission.start.position), scenario.airspace
     found = np.full((len(headings), along.size), start[2])
@@ -159,27 +147,13 @@ def _is_within_terrain(scenario: Scenario, places: FloatArray) -> NDArray[np.boo
 
 
 def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurve) -> float:
-    """Return the battery charge that one metre of climb takes, relative to the usable charge [1/m].
-
-    The usable charge is the charge above the least state of charge that the scenario allows.
-    If the scenario has no terrain, the result is 0.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Scenario with the least state of charge and the rate of climb. If its field
-        `mission.return_flight.climb_current` is absent, the battery current of the climb is
-        computed.
-    steady : SteadyFlight
-        Solver for steady flight of the scenario's vehicle, with the capacity of its battery.
-    curve : SteadyCurve
-        Power and endurance over airspeed in calm air. Its airspeed of least energy per metre is
-        used to compute the current.
-    """
+    """Return the fraction of the usable battery charge that one metre of climb takes [1/m]."""
     # Without terrain the flight is level.
     if scenario.airspace.ground is None:
         return 0.0
     told = scenario.mission.return_flight
+    # Without a given current, the current is computed at the airspeed of least energy per metre in
+    # calm air.
     current = told.climb_current or climb_current(
         scenario, steady, curve.best_over_ground().airspeed
     )
@@ -190,25 +164,10 @@ def _share_per_climb(scenario: Scenario, steady: SteadyFlight, curve: SteadyCurv
 def _shares(
     curve: SteadyCurve, winds: FloatArray, courses: FloatArray, *, has_return: bool
 ) -> FloatArray:
-    """Return the fraction of the usable battery charge that one metre of flight takes.
+    """Return the fraction of the usable battery charge per metre over ground [1/m].
 
-    The usable charge is the charge above the least state of charge that the scenario allows.
-
-    Parameters
-    ----------
-    curve : SteadyCurve
-        Power and endurance over airspeed.
-    winds : ndarray, shape (n_courses, n_steps, 2)
-        Wind velocity along x and y at the places along each course [m/s].
-    courses : ndarray, shape (n_courses, 1)
-        Courses from x, counter-clockwise [rad].
-    has_return : bool
-        Whether the fraction includes the flight back over the same metre.
-
-    Returns
-    -------
-    ndarray, shape (n_courses, n_steps)
-        Fraction per metre over ground at each place [1/m].
+    `winds` has shape (n_courses, n_steps, 2) [m/s]. If `has_return`, the fraction includes the
+    flight back over the same metre.
     """
     speed = np.hypot(winds[..., 0], winds[..., 1])
     angle = np.arctan2(winds[..., 1], winds[..., 0]) - courses
@@ -220,25 +179,12 @@ def _shares(
 def _share_per_metre(
     curve: SteadyCurve, winds: FloatArray
 ) -> Callable[[FloatArray, FloatArray], FloatArray]:
-    """Return a function for the fraction of the usable battery charge per metre over ground.
+    """Return a function for the fraction of the usable charge per metre over ground [1/m].
 
-    The usable charge is the charge above the least state of charge that the scenario allows.
-
-    Parameters
-    ----------
-    curve : SteadyCurve
-        Power and endurance over airspeed.
-    winds : ndarray
-        Wind speeds for which the function will be called [m/s]. The function interpolates in a
-        table that spans the least to the greatest of them.
-
-    Returns
-    -------
-    callable
-        Function that gives the fraction per metre [1/m]; infinite where the wind is too strong for
-        the course. Its arguments are arrays: the wind speed [m/s], and the angle between the course
-        and the direction to which the wind blows [rad].
+    It takes wind speed [m/s], and angle between course and wind [rad], and is infinite where the
+    wind is too strong.
     """
+    # The table spans the wind speeds of all later calls.
     low, high = float(winds.min()), float(winds.max())
     count = max(2, int(np.ceil((high - low) / _WIND_STEP_M_S)) + 1)
     speeds = np.linspace(low, max(high, low + _WIND_STEP_M_S), count)
@@ -265,33 +211,10 @@ def _boundary_on(
     is_known: NDArray[np.bool_],
     start: FloatArray,
 ) -> dict[str, Any]:
-    """Return how far the vehicle flies on one course until the usable battery charge is spent.
+    """Return the row of `Reach.boundary` for one course.
 
-    The usable charge is the charge above the least state of charge that the scenario allows. The
-    flight ends earlier where wind or ground is unknown.
-
-    Parameters
-    ----------
-    course : float
-        Direction from x, counter-clockwise [rad].
-    along : ndarray, shape (n_steps,)
-        Distances from the start [m].
-    share : ndarray, shape (n_steps,)
-        Fraction of the usable charge for one metre of level flight at each distance [1/m]. It
-        includes the way back if the vehicle returns. Where the wind is too strong, it is infinite,
-        and the flight ends.
-    climbed : ndarray, shape (n_steps,)
-        Fraction of the usable charge for all climbs from the start up to each distance.
-    is_known : ndarray of bool, shape (n_steps,)
-        Whether wind and ground are known at each distance.
-    start : ndarray, shape (3,)
-        Position of the start [m].
-
-    Returns
-    -------
-    dict
-        Row of the table `Reach.boundary`: course [deg], distance [m], x and y of the place at this
-        distance [m], and whether the flight ends because wind or ground is not known there.
+    `share` is the fraction of the usable charge per metre of level flight [1/m], infinite where the
+    wind is too strong. `climbed` is the fraction for all climbs up to each distance.
     """
     pieces = np.diff(along) * (share[1:] + share[:-1]) / 2.0
     used = climbed + np.concatenate([[0.0], np.cumsum(pieces)])
@@ -299,6 +222,7 @@ def _boundary_on(
     # Sums stay infinite from there on.
     is_passable = np.isfinite(used)
     reached = float(np.interp(1.0, used[is_passable], along[is_passable]))
+    # The flight also ends where wind or ground is unknown.
     unknown = np.flatnonzero(~is_known)
     known_to = float(along[max(unknown[0] - 1, 0)]) if unknown.size else np.inf
     distance = min(reached, known_to)

@@ -17,8 +17,8 @@ class Figures(StrEnum):
 
     @property
     def formats(self) -> tuple[str, ...]:
-        """File endings of the files of each figure; the report shows the first file.
+        """File endings of the files of each figure, such as ``("svg", "png")`` for `ALL`.
 
-        For example ``("svg", "png")`` for `ALL`; empty for `NONE`.
+        The report displays the file with the first ending. The result is empty for `NONE`.
         """
         return {"all": ("svg", "png"), "none": ()}.get(self, (str(self),))

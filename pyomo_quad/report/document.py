@@ -37,8 +37,8 @@ class Drawing:
     draw : callable
         Function without arguments that draws and returns the matplotlib Figure.
     needs : tuple of str
-        Columns of a flight's table that the figure shows. If one is missing, the lists of
-        `report.gallery` leave the figure out; `write_study` does not check this.
+        Columns of a flight's table that the figure shows. The lists of `report.gallery` leave out a
+        figure if the table lacks one of them.
     formats : tuple of str
         File endings in which the figure is written.
     """
@@ -52,7 +52,7 @@ class Drawing:
 
     @property
     def files(self) -> tuple[str, ...]:
-        """Names of the figure's files, one for each format; the report shows the first file."""
+        """Names of the figure's files, one for each format; the report displays the first one."""
         return tuple(f"{self.name}.{ending}" for ending in self.formats)
 
 
@@ -92,9 +92,8 @@ def write_study(
     folder : Path
         Existing folder that holds no report.
     template : str
-        Template of the text, as a path below the package's folder. In addition to ``values`` the
-        template receives ``tables`` (names of the table files), ``drawings`` (the requested
-        figures) and ``version`` (version of this package).
+        Template of the text, as a path below the package's folder. In addition to ``values`` it
+        receives ``tables`` (file names), ``drawings`` and the package's ``version``.
     tables : mapping of str to DataFrame or mapping, optional
         Tables to write as CSV, by file name. Each table is a DataFrame, or a mapping from the name
         of a column to its values.
@@ -190,8 +189,8 @@ def write_text(file: Path, template: str, **values: object) -> None:
 def drawn_meanwhile(drawings: Iterable[Drawing], folder: Path) -> Iterator[None]:
     """Context manager: draw and save figures on other cores while the ``with`` block runs.
 
-    At the end of the block, this process draws the figures that are left. If the block raises,
-    figures may be missing.
+    At the end of the block, this process draws the figures that are left. If the block raises an
+    error, some figures may be missing.
 
     Parameters
     ----------

@@ -32,8 +32,8 @@ _NUMBER_ROOM = 1.28  # the axis is longer than the longest bar, to fit the numbe
 def draw_energy_split(flights: Sequence[StyledFlight], hover_energy_J: float) -> Figure:
     """Draw two bar charts of flights: the total energies, and the energies above hovering.
 
-    If the durations differ, the right panel shows the energy of each flight less the energy of the
-    first flight.
+    If the durations differ, energies above hovering are not comparable. The right panel then shows
+    the energy of each flight less the energy of the first flight.
 
     Parameters
     ----------
@@ -81,8 +81,7 @@ def draw_energy_by_scenario(comparison: pd.DataFrame) -> Figure:
     ----------
     comparison : DataFrame
         One row for each flight of each scenario. The enumeration `ComparisonColumn` names the
-        columns. The energy of a flight that ends near the goal includes an estimate of the energy
-        to the exact goal state.
+        columns.
     """
     # Energies above hovering are comparable only between flights of equal duration.
     is_above = has_equal_durations(comparison)

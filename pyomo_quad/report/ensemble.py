@@ -52,8 +52,8 @@ def write_ensemble(
     flown : Ensemble
         Flights of one mission, each in its own random wind.
     savings : sequence of Saving, optional
-        Energy savings of the flights compared with rival flights in the same winds, such as flights
-        of an autopilot. Each item also holds the rival flights.
+        Energy savings compared with rival flights in the same winds, such as flights of an
+        autopilot. Each item also holds the rival flights.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
 
@@ -91,9 +91,8 @@ def ensemble_drawings(
         Energy savings compared with rival flights in the same winds. The figure of the energies
         also shows the rival flights.
     margin : float, optional
-        Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
-        scenario's clearance. The margin is drawn on both sides of the planned path. With 0 no
-        margin is drawn.
+        Safety margin [m] that the plan keeps from zones in addition to the scenario's clearance. A
+        positive margin is drawn on both sides of the planned path.
     """
     shown = min(SHOWN_PATHS, flown.count)
     paths = f"Paths of {shown} flights, and the path to follow."
@@ -109,7 +108,7 @@ def ensemble_drawings(
 
 
 def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
-    """Draw the paths of the first flights of an ensemble, and the path that all should follow.
+    """Draw the paths of the first flights of an ensemble, and their common reference path.
 
     At most `SHOWN_PATHS` flights are drawn. One panel shows the paths from above, the other panel
     from the front.
@@ -119,9 +118,8 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
     flown : Ensemble
         Flights of one mission, each in its own random wind.
     margin : float, optional
-        Safety margin [m]: distance from keep-out zones that the plan keeps in addition to the
-        scenario's clearance. The margin is drawn on both sides of the path to follow. With 0 no
-        margin is drawn.
+        Safety margin [m] that the plan keeps from zones in addition to the scenario's clearance. A
+        positive margin is drawn on both sides of the reference path.
     """
     figure, panels = panel_grid(2, 1, panel_height=2.5, legend_entries=2, share_time=False)
     tracks = [flown.flown.tracks[f"{axis}_m"][:, :SHOWN_PATHS] for axis in "xyz"]
@@ -150,10 +148,7 @@ def draw_many_paths(flown: Ensemble, margin: float = 0.0) -> Figure:
 
 
 def _beside(path: FloatArray, off: float) -> FloatArray:
-    """Shift a path in a plane, shape (n, 2) [m], to its left by the distance `off` [m].
-
-    The shifted path shows the edge of a safety margin beside the path.
-    """
+    """Shift a path in a plane, shape (n, 2) [m], to its left by the distance `off` [m]."""
     along = np.gradient(path, axis=0)
     length = np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-9)
     return path + off * np.column_stack([-along[:, 1], along[:, 0]]) / length

@@ -123,8 +123,8 @@ def _draw_disturbance(
 def draw_battery(flights: Sequence[StyledFlight]) -> Figure:
     """Draw battery voltage, current and state of charge of flights over time.
 
-    Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature,
-    each only if the tables of all flights have its column.
+    Two more panels show the relaxation voltage (slow part of the voltage drop) and the temperature.
+    Each is left out if the table of any flight lacks its column.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def draw_above_hover(axes: Axes, flights: Sequence[StyledFlight], hover_power_W:
 def cut_flights(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the flights whose short peaks of power are cut off in a panel of power over time.
 
-    Peaks are cut off if they would make all curves look flat.
+    Peaks are cut off if they would make the axis more than twice as long.
 
     Parameters
     ----------
@@ -340,10 +340,9 @@ def coinciding_flights(
 
 
 def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None:
-    """Return the least and the greatest power [W] of a panel's vertical axis, without short peaks.
+    """Return least and greatest power [W] of a panel's vertical axis without short peaks.
 
-    The range includes the plan, the first of `flights`. The result is None if no peaks of the other
-    flights are cut off.
+    The range includes the plan, the first of `flights`. The result is None if no peak is cut off.
     """
     optimum, *others = powers = [POWER.of(flight.frame) for flight in flights]
     ends = [optimum.min(), optimum.max()]
@@ -359,11 +358,7 @@ def _power_window(flights: Sequence[StyledFlight]) -> tuple[float, float] | None
 
 
 def _cut_peaks(axes: Axes, flights: Sequence[StyledFlight]) -> None:
-    """Cut off short peaks in a panel of power over time, and say so in the panel's title.
-
-    The first of `flights` is the plan, whose power is always shown completely (see
-    `_power_window`).
-    """
+    """Cut off short peaks in a panel of power over time, and say so in its title."""
     window = _power_window(flights)
     if window is not None:
         axes.set_ylim(*window)
@@ -473,8 +468,8 @@ def draw_way(flights: Sequence[StyledFlight], mission: "Scenario") -> Figure:
     flights : sequence of StyledFlight
         Flights to draw; the first is the plan.
     mission : Scenario
-        Scenario with waypoints and speed limit; each waypoint has the time at which the plan
-        passes it.
+        Scenario with speed limit, and waypoints with their times of passing (see
+        `Scenario.lasting`).
     """
     optimum, legs = flights[0], leg_table(mission, flights[0].frame)
     below = 0.45 + 0.2 * ceil(len(flights) / LEGEND_COLUMNS)

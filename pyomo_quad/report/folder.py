@@ -44,9 +44,8 @@ def output_folder(path: str | Path) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the folder cannot be written, the disk is full, another run is writing the folder, or the
-        final folder holds files that this package did not write. Any OSError of the block also
-        becomes an OutputError.
+        If the folder cannot be written, is being written by another run, or holds files that this
+        package did not write, or if the block raises an OSError, such as for a full disk.
     """
     final = final_folder(path)
     aside = _hidden(final, f"new-{os.getpid()}")
@@ -85,9 +84,8 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
         Final file. If it is a character device or FIFO, such as ``/dev/stdout``, the content is
         copied to it.
     mark : str, optional
-        Text that marks files of this package. The caller must write the text into the first or the
-        last 64 KiB of the new file. An existing regular file is replaced only if it contains the
-        text there or is empty.
+        Text that the caller must write into the first or last 64 KiB of the new file. An existing
+        regular file is replaced only if it holds the text there, or is empty.
 
     Yields
     ------
@@ -97,8 +95,8 @@ def output_file(path: str | Path, mark: str = MARK) -> Iterator[Path]:
     Raises
     ------
     OutputError
-        If the file cannot be written, or if a non-empty file exists that lacks the text `mark`. Any
-        OSError of the block also becomes an OutputError.
+        If the file cannot be written, if a non-empty file exists that lacks the text `mark`, or if
+        the block raises an OSError.
     """
     final = final_folder(path)
     try:
@@ -200,9 +198,9 @@ def _discard(begun: Path) -> None:
 def _until_finished(begun: Path) -> Iterator[None]:
     """Context manager: remove the temporary file or folder `begun` after the ``with`` block.
 
-    To keep the output, the caller renames it inside the block. `discard_unfinished` removes `begun`
-    if the process is terminated inside the block.
+    To keep the output, the caller renames it inside the block.
     """
+    # If the process is terminated inside the block, `discard_unfinished` removes `begun`.
     _unfinished.add(begun)
     try:
         yield
@@ -227,10 +225,7 @@ def final_folder(path: str | Path) -> Path:
 
 
 def _unused(path: Path) -> Path:
-    """Return `path` unchanged; raise FileExistsError if a file or folder with this path exists.
-
-    `output_folder` checks the path of its temporary folder before it creates the folder.
-    """
+    """Return `path` unchanged; raise FileExistsError if a file or folder with this path exists."""
     if os.path.lexists(path):
         raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST))
     return path
@@ -272,20 +267,12 @@ def _lock(final: Path, path: str | Path) -> Iterator[None]:
 def _finish_swap(final: Path, path: str | Path, aside: Path) -> None:
     """Rename a complete new output folder from its hidden name to its final path.
 
-    The hidden name is ``.NAME.ready`` for a final folder NAME. If this folder does not exist, or no
-    run of this package made it, nothing is renamed. An old folder at the final path is first
-    renamed to `aside`. Raises OutputError if the old folder holds files that no run wrote.
-
-    Parameters
-    ----------
-    final : Path
-        Final folder, with symbolic links resolved.
-    path : str or Path
-        The same folder as the user wrote it, for messages.
-    aside : Path
-        Path to which an old folder is renamed.
+    An old folder at the final path is first renamed to `aside`. Raises OutputError if the old
+    folder holds files that no run wrote.
     """
     ready = _hidden(final, "ready")
+    # There is nothing to finish if no run has made a complete folder .NAME.ready for the folder
+    # NAME.
     if not _is_of_a_run(ready):
         return
     _refuse_foreign_files(final, path)
@@ -318,12 +305,9 @@ def _is_of_a_run(folder: Path) -> bool:
 
 
 def _remove(folder: Path) -> None:
-    """Delete an output folder; delete its manifest (the list of its files) last.
-
-    If the deletion is interrupted, the manifest still marks the remaining files as an output of
-    this package.
-    """
+    """Delete an output folder; delete its manifest (the list of its files) last."""
     for entry in folder.iterdir():
+        # If the deletion is interrupted, the manifest still marks the remaining files as an output.
         if entry.name == MANIFEST_NAME:
             continue
         if entry.is_dir() and not entry.is_symlink():

@@ -89,8 +89,7 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
 
     The list leaves out the figures
 
-    - of columns that the plan's table lacks, as with a user's own Pyomo model;
-    - of columns with values that are not finite, as after a failed solve;
+    - of columns that the plan's table lacks or whose values are not finite;
     - of the wind, in calm air;
     - of the costates, if the plan's controls were not simulated;
     - of costates and mesh, if the plan was made without an optimisation.
@@ -106,8 +105,8 @@ def plan_drawings(plan: "Plan", flights: Sequence[StyledFlight]) -> tuple[Drawin
     Returns
     -------
     tuple of Drawing
-        Figures of paths, states, controls, energy, motors, battery, wind, costates and mesh. Some
-        missions also have figures of the height above ground and of the speed along the path.
+        Figures of paths, states, controls, energy, motors, battery, wind, costates and mesh, and
+        for some missions of height above ground and speed along the path.
     """
     has_forecast = plan.scenario.wind.forecast is not None
     blowing = flights[1] if has_forecast and len(flights) > 1 else None
@@ -145,8 +144,8 @@ def flight_drawings(
     blowing : StyledFlight, optional
         A flight in the true wind, if the plan was made for a wind forecast.
     mission : Scenario, optional
-        Scenario whose waypoints and zones are drawn; each waypoint has the time at which the plan
-        passes it.
+        Scenario whose zones are drawn, and its waypoints with their times of passing (see
+        `Scenario.lasting`).
     """
     frame = flights[0].frame
     finite = {name for name in frame if np.isfinite(frame[name]).all()}
@@ -182,8 +181,7 @@ def comparison_drawings(
 
     The map and the power show the plan and its rival (see `rival_of`). The energy bars show the
     plan and the flights that reached the goal and kept all limits. The result is empty if the
-    plan's table has no positions. The caller must leave out figures whose other columns are missing
-    (`Drawing.needs`).
+    plan's table has no positions. The caller must check that the columns `Drawing.needs` exist.
 
     Parameters
     ----------
@@ -192,8 +190,7 @@ def comparison_drawings(
     hover_energy_J : float
         Energy of hovering for the duration of the plan.
     comparison : DataFrame
-        One row for each flight. The enumeration `ComparisonColumn` names the columns, such as
-        whether the flight reached the goal, and whether it kept all limits.
+        One row for each flight. The enumeration `ComparisonColumn` names the columns.
     mission : Scenario
         Scenario whose zones and waypoints the map shows.
     """
@@ -234,7 +231,7 @@ def comparison_drawings(
 def _not_comparable(flights: Sequence[StyledFlight], compared: Sequence[StyledFlight]) -> str:
     """Return the caption's sentence that names the flights without a bar in the energy chart.
 
-    The flights `compared` have a bar. The sentence is empty if all of `flights` have a bar.
+    The flights `compared` have a bar.
     """
     rest = [flight for flight in flights if flight not in compared]
     return _naming("Without a bar, because they missed the goal or broke a limit", rest)
@@ -264,8 +261,7 @@ def front_drawing(front: pd.DataFrame) -> Drawing:
     ----------
     front : DataFrame
         One row for each price of time: the energy that may be spent to shorten the flight by one
-        second [J/s = W]. The columns are price, duration and energy of the optimal flight, and
-        whether this flight is the plan. The enumeration `FrontColumn` names the columns.
+        second [J/s = W]. The enumeration `FrontColumn` names the columns.
     """
     caption = (
         "Flights of least energy for several prices of a second; star: the plan. No flight on the "
@@ -295,11 +291,7 @@ def drawings_of_run(result: "RunResult") -> tuple[Drawing, ...]:
 
 
 def _in_turbulence(often: "InTurbulence", plan: "Plan") -> Iterator[Drawing]:
-    """Yield the figures of a plan's simulated flights in turbulence, for the report of a run.
-
-    `often` holds many simulated flights of the plan, each in its own random wind. The names of the
-    figures begin with ``turbulence_``.
-    """
+    """Yield the figures of a plan's simulated flights in turbulence, for the report of a run."""
     margin = plan.margins.get("airspace.clearance", 0.0)
     for drawing in ensemble_drawings(often.flown, often.savings, margin):
         yield replace(drawing, name=f"turbulence_{drawing.name}")
@@ -312,7 +304,7 @@ def drawings_of_comparison(comparison: pd.DataFrame) -> tuple[Drawing]:
     ----------
     comparison : DataFrame
         One row for each flight of each scenario. The enumeration `ComparisonColumn` names the
-        columns, such as duration, energy and whether the flight reached the goal.
+        columns.
     """
     energy = "Energy above hovering for the same time"
     if not has_equal_durations(comparison):
@@ -338,10 +330,10 @@ def view_of_paths(result: "RunResult", drawn: Sequence[Drawing]) -> tuple[dict[s
     Returns
     -------
     views : dict
-        One item: the key is the name of the figure of the paths, the value the HTML of the player.
-        The page shows the player above this figure. Empty if the report has no figure of the paths.
+        HTML of the player, by name of the figure of the paths. The page shows the player above
+        this figure. Empty without this figure.
     data : str
-        The flights as JSON, for the player. Empty if the report has no figure of the paths.
+        The flights as JSON, for the player. Empty without the figure of the paths.
     """
     if PATH_NAME not in [drawing.name for drawing in drawn]:
         return {}, ""
@@ -376,11 +368,7 @@ def _path(flights: Sequence[StyledFlight], mission: "Scenario | None") -> Drawin
 
 
 def _course(mission: "Scenario") -> str:
-    """Return the caption's sentences on waypoints, zones, floor and ceiling in a map of paths.
-
-    The sentences also mention clearance and terrain. Anything that the scenario does not have is
-    omitted.
-    """
+    """Return a map caption's sentences on waypoints, zones, terrain, floor and ceiling."""
     airspace, said = mission.airspace, ""
     if mission.mission.waypoints:
         said += " Crosses: waypoints, with the times at which the plan passes them."
@@ -404,11 +392,7 @@ def _zones(mission: "Scenario") -> str:
 
 
 def _has_speed_figure(scenario: "Scenario") -> bool:
-    """Return whether a report has the figure of speed over path length.
-
-    The figure is shown for missions with waypoints, keep-out zones, a speed limit or a free
-    duration (chosen by the optimiser).
-    """
+    """Return whether a report has the figure of speed over path length."""
     mission, airspace = scenario.mission, scenario.airspace
     has_more = mission.is_free or mission.waypoints or airspace.keep_out
     return bool(has_more or scenario.limits.speed_max)
@@ -520,10 +504,7 @@ def _unequal_durations(flights: Sequence[StyledFlight]) -> str:
 
 
 def _cut(flights: Sequence[StyledFlight]) -> str:
-    """Return a caption's sentence that names the flights with power peaks cut off in a figure.
-
-    The first of `flights` is the plan. The sentence is empty if no peak is cut off.
-    """
+    """Return the caption's sentence on flights with power peaks cut off; empty if none are."""
     if POWER.name not in flights[0].frame:
         return ""
     peaks = [
@@ -535,10 +516,10 @@ def _cut(flights: Sequence[StyledFlight]) -> str:
 
 
 def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on flights whose energy curve is hidden by the plan's curve.
+    """Return the caption's sentence on flights whose energy curve the plan's curve hides.
 
-    The first of `flights` is the plan. `hover_energy_J` is the energy of hovering for the plan's
-    duration. If no curve is hidden, the sentence is empty.
+    `hover_energy_J` is the energy of hovering for the duration of the plan, the first flight.
+    Without such flights the result is empty.
     """
     if ENERGY.name not in flights[0].frame:
         return ""
@@ -547,10 +528,9 @@ def _coinciding(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
 
 
 def _undercut(flights: Sequence[StyledFlight], hover_energy_J: float) -> str:
-    """Return the caption's sentence on energy bars that end below the hover energy.
+    """Return the caption's sentence on flights that use less energy than hovering, if any.
 
-    The first of `flights` is the plan. `hover_energy_J` is the energy of hovering for the plan's
-    duration. If there are no such bars, the sentence is empty.
+    `hover_energy_J` is the energy of hovering for the duration of the plan, the first flight.
     """
     hover_power = hover_energy_J / flights[0].duration_s
     # A flight can use less energy than hovering, for example in descent or in forward flight. Its
@@ -584,10 +564,9 @@ def _columns(*groups: Iterable[Column]) -> tuple[str, ...]:
 
 
 def _naming(words: str, flights: Sequence[StyledFlight], sign: str = ":") -> str:
-    """Return a sentence for a figure's caption that ends with the names of `flights`.
+    """Return a caption's sentence that ends with the names of `flights`; empty without flights.
 
-    For example, `words` "Not drawn" and `sign` ":" give " Not drawn: A and B." If `flights` is
-    empty, the sentence is empty.
+    For example, `words` "Not drawn" gives " Not drawn: A and B."
     """
     return f" {words}{sign} {_listed(flights)}." if flights else ""
 

@@ -91,10 +91,9 @@ def write_labels(axes: Axes, labels: Sequence[Label]) -> None:
 
 
 def _shifts(size: FloatArray) -> Iterable[FloatArray]:
-    """Yield ten possible offsets from a point to the middle of its label; the preferred one first.
+    """Yield ten offsets (right, up) from a point to the middle of its label, best first.
 
-    `size` holds width and height of the label. An offset holds the distances to the right and
-    upwards. All lengths are in typographic points (1/72 inch).
+    `size` holds width and height of the label. All lengths are in typographic points (1/72 inch).
     """
     half = size / 2 + _GAP
     for across, up in ((0.0, 1.0), (0, -1), (1, 0), (-1, 0), (1, 1), (-1, 1), (1, -1), (-1, -1)):
@@ -104,10 +103,9 @@ def _shifts(size: FloatArray) -> Iterable[FloatArray]:
 
 
 def _curves(axes: Axes) -> FloatArray:
-    """Return the points of the curves in a panel, `axes`, in pixels, shape (n, 2).
+    """Return the points of the curves in a panel, in pixels, shape (n, 2).
 
-    `write_labels` places labels so that they cover few of these points. Lines with at most two
-    points are left out.
+    Lines with at most two points are left out.
     """
     points = [np.empty((0, 2))]
     for line in axes.get_lines():

@@ -67,24 +67,14 @@ _PROGRAM = Path(__file__).with_name("page.js")
 
 
 def _label(inline: Token) -> str:
-    """Return the text of a line of Markdown without formatting, escaped for HTML.
-
-    The text is used as a label for screen readers, as the title, or in the table of contents.
-    """
+    """Return the text of a line of Markdown without formatting, escaped for HTML."""
     return escape("".join(child.content for child in inline.children or ()))
 
 
 def _role(tokens: Sequence[Token], at: int) -> str:
-    """Return the role of a Markdown paragraph in the HTML report: image, caption or plain text.
+    """Return the role in the HTML report of the paragraph whose opening token is ``tokens[at]``.
 
-    `tokens` are the markdown-it tokens of the report; `at` is the index of the token that opens the
-    paragraph.
-
-    Returns
-    -------
-    str
-        "picture" for an image, "figcaption" for the paragraph after an image, "caption" for the
-        paragraph before a table, "p" for text.
+    It is "picture", "figcaption" after a picture, "caption" before a table, or else "p".
     """
     if [child.type for child in tokens[at + 1].children or ()] == ["image"]:
         return "picture"
@@ -107,9 +97,7 @@ _JOINT_OF_CODE = pattern(r"(?<=\w[._/\]])(?=\w)(?<!\d.)")
 class _PageRenderer(RendererHTML):
     """Markdown-to-HTML renderer that puts captions into figures and tables.
 
-    A block quote of the report becomes the coloured box with the report's main result. Each section
-    becomes an element that the reader can fold. Each method renders the token type of markdown-it
-    that has the method's name.
+    Each method has the name of the markdown-it token type that it renders.
     """
 
     def paragraph_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
@@ -146,6 +134,7 @@ class _PageRenderer(RendererHTML):
     def heading_open(self, tokens: Sequence[Token], idx: int, _: object, env: EnvType) -> str:
         if tokens[idx].tag != "h2":
             return f"<{tokens[idx].tag}>"
+        # Each section becomes an element that the reader can fold.
         title = tokens[idx + 1].content
         closed = _end_of_section(tokens[:idx])
         is_open = title in _UNFOLDED or _has_view(tokens, idx, env["views"])
@@ -159,6 +148,7 @@ class _PageRenderer(RendererHTML):
         return "</h2></summary>\n" if tag == "h2" else f"</{tag}>\n"
 
     def blockquote_open(self, _: Sequence[Token], __: int, ___: object, env: EnvType) -> str:
+        # A block quote becomes the coloured box with the report's main result.
         return f'<div class="verdict{" good" if env["is_good"] else ""}">'
 
     def blockquote_close(self, tokens: Sequence[Token], idx: int, *_: object) -> str:
@@ -215,8 +205,7 @@ def _end_of_section(before: Sequence[Token]) -> str:
 def _has_view(tokens: Sequence[Token], at: int, views: Mapping[str, str]) -> bool:
     """Return whether a report section has a figure with an interactive view (a flight player).
 
-    `at` is the index of the token that opens the section's heading. The keys of `views` are names
-    of figures.
+    `at` is the index of the section's first token. The keys of `views` are names of figures.
     """
     end = next((k for k in range(at + 1, len(tokens)) if _is_h2(tokens[k])), len(tokens))
     children = (child for token in tokens[at:end] for child in token.children or ())

@@ -97,8 +97,8 @@ def draw_path(flights: Sequence[StyledFlight], mission: Scenario | None = None) 
     flights : sequence of StyledFlight
         Flights to draw; the first is the plan.
     mission : Scenario, optional
-        Scenario whose zones and waypoints are drawn; each waypoint has the time at which the plan
-        passes it.
+        Scenario whose zones are drawn, and its waypoints with their times of passing (see
+        `Scenario.lasting`).
     """
     figure = Figure(figsize=(FULL_WIDTH, FULL_WIDTH))
     limits = _limits(flights, mission)
@@ -196,10 +196,9 @@ def _draw_mean_wind(axes: Axes, flight: StyledFlight) -> None:
 
 
 def _draw_wind_field(axes: Axes, grid: WindGrid, scale: float) -> None:
-    """Draw the horizontal wind of a gridded field as arrows, with a key for their length.
+    """Draw a gridded wind field at its lowest height and first time as horizontal arrows.
 
-    The arrows show the lowest height and the first time of the field. `scale` multiplies the
-    velocities. Nothing is drawn in calm air.
+    `scale` multiplies the velocities. Nothing is drawn in calm air.
     """
     every_x, every_y = (1 + len(axis) // _MOST_ARROWS for axis in (grid.x, grid.y))
     components = grid.components[:2].reshape(2, len(grid.x), len(grid.y), -1)
@@ -284,10 +283,9 @@ def _further(flights: Sequence[StyledFlight], share: float) -> tuple[StyledFligh
 
 
 def _limits(flights: Sequence[StyledFlight], mission: Scenario | None) -> np.ndarray:
-    """Return the least and the greatest x, y and z of a figure of paths, shape (3, 2), in m.
+    """Return the least and the greatest x, y and z [m] of a figure of paths, shape (3, 2).
 
-    The ranges include all paths that do not leave the figure (see `leaving_paths`). If `mission` is
-    given, they are extended to show its airspace (see `_with_airspace`).
+    Paths that leave the figure do not count (see `leaving_paths`).
     """
     astray = leaving_paths(flights)
     points = np.concatenate([_track(flight) for flight in flights if flight not in astray])
@@ -305,14 +303,7 @@ def _track(flight: StyledFlight) -> np.ndarray:
 def _distance(flight: StyledFlight, time: np.ndarray, track: np.ndarray) -> float:
     """Return the largest distance [m] between a flight and another track at equal times.
 
-    Parameters
-    ----------
-    flight : StyledFlight
-        The flight.
-    time : ndarray, shape (n,)
-        Times of the other track, in s.
-    track : ndarray, shape (n, 3)
-        Positions of the other track, in m.
+    The other track has the positions `track`, shape (n, 3) [m], at the times `time` [s].
     """
     own_time = TIME.of(flight.frame)
     own = np.column_stack([np.interp(time, own_time, axis) for axis in _track(flight).T])
@@ -326,10 +317,9 @@ def _beats(flight: StyledFlight) -> np.ndarray:
 
 
 def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
-    """Replace points outside a figure's limits by NaN.
+    """Replace points outside a figure's limits by NaN; `points` have shape (n, 3) [m].
 
-    `points` are the points of a curve [m], shape (n, 3). `limits` holds the least and the greatest
-    x, y and z [m], shape (3, 2).
+    `limits` holds the least and the greatest x, y and z [m], shape (3, 2).
     """
     is_inside = np.all((limits[:, 0] <= points) & (points <= limits[:, 1]), axis=1)
     # 3-D axes do not clip curves.
@@ -337,11 +327,10 @@ def _inside(points: np.ndarray, limits: np.ndarray) -> np.ndarray:
 
 
 def _with_airspace(limits: np.ndarray, airspace: Airspace) -> np.ndarray:
-    """Extend the axis limits of a figure of paths to show keep-out zones, floor and ceiling.
+    """Extend the limits of a figure of paths to show keep-out zones, floor and ceiling.
 
-    No limit moves by more than a quarter of the longest axis, so that the figure may cut off
-    distant zones. `limits` and the result hold the least and the greatest x, y and z [m], shape
-    (3, 2).
+    Limits are least and greatest x, y and z [m], shape (3, 2). They move by at most a quarter of
+    the longest axis.
     """
     room = _AROUND * float(np.ptp(limits, axis=1).max())
     # The extension is limited, so that distant zones do not make the paths small.
@@ -385,8 +374,7 @@ def draw_mission(axes: Axes, mission: Scenario, directions: tuple[int, int]) -> 
     Returns
     -------
     list of Label
-        Labels for the caller to draw with `write_labels`: the labels of waypoints and, in the view
-        from above, the names of zones.
+        Labels for the caller to draw with `write_labels`: waypoints and, from above, zones.
     """
     airspace = mission.airspace
     draw_relief(axes, airspace.ground, directions)
@@ -453,7 +441,7 @@ def _draw_projection(
 def _ends(optimum: StyledFlight) -> tuple[tuple[np.ndarray, str, str], ...]:
     """Return position [m], name and marker of the two ends of a plan's path, for figures.
 
-    If start and goal are closer than 1 % of the path length, the result has only one entry.
+    If start and goal nearly coincide (see `_SAME_PLACE`), the result has only one entry.
     """
     track = _track(optimum)
     way = np.linalg.norm(np.diff(track, axis=0), axis=1).sum()

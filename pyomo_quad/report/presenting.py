@@ -1,8 +1,7 @@
 """Figures and reports for methods such as `Plan.plot` and `RunResult.report`.
 
-Matplotlib takes time to import, and this module imports it. The modules of plans and runs therefore
-must not import this module. Their methods call the function `pyomo_quad.presentation.presenter`,
-which imports this module at the first call.
+The methods reach this module through the function `pyomo_quad.presentation.presenter`, which
+imports the module at the first call, because matplotlib takes time to import.
 """
 
 from collections.abc import Callable, Iterable, Mapping

@@ -135,11 +135,7 @@ def written(text: str) -> Markup:
 
 
 def _code(text: str) -> Markup:
-    """Format the name of a flight, file, field or command as a Markdown code span.
-
-    Names that cannot be written in a code span, such as a name with a backtick, are returned as
-    escaped Markdown.
-    """
+    """Format a name as a Markdown code span, or as escaped text if a code span cannot hold it."""
     # A code span has no escapes, so text that would end the span is printed without a span.
     if set(visible(text)) & set("`|\\\n\r") or text != text.strip() or not text:
         return written(escape_markdown(text))

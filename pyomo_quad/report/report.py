@@ -187,11 +187,8 @@ class RunRecord:
 def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     """Return the results of an earlier run of a scenario, read from the run's report folder.
 
-    A run is ignored in these cases:
-
-    - The plan was not verified.
-    - Python, the package or its dependencies had other versions.
-    - The scenario uses a user's own model.
+    A run is ignored if its plan was not verified, if Python, the package or a dependency had
+    another version, or if the scenario uses a user's own model.
 
     Parameters
     ----------
@@ -203,8 +200,8 @@ def find_run(folder: Path, scenario: "Scenario") -> RunRecord | None:
     Returns
     -------
     RunRecord or None
-        Results of the earlier run. None if the folder holds no readable run of the scenario, or if
-        the run is ignored.
+        Results of the earlier run. None if the folder holds no readable run of the scenario that
+        may be used.
     """
     import pandas as pd  # noqa: PLC0415  0.3 s that a solve has no use for
 
@@ -257,8 +254,8 @@ def write_compare_report(
         One row for each flight of each scenario. The columns are the members of the enumeration
         `ComparisonColumn`: scenario, duration, energy, saving and other results of the flight.
     is_good : bool
-        Whether all plans were verified, that is, simulation confirmed each plan to the requested
-        accuracy. This sets the colour of the box with the page's main result.
+        Whether all plans were verified: simulation confirmed each plan to the requested accuracy.
+        If so, the box with the page's main result is green.
     figures : Figures, optional
         File formats of the figures, or `Figures.NONE` for a report without figures.
     """
@@ -279,10 +276,9 @@ def write_compare_report(
 
 
 def _title(plan: "Plan") -> str:
-    """Return the title of a plan's report, which is the title or name of the plan's scenario.
+    """Return the title of a plan's report: title or name of the scenario.
 
-    If no simulation of the controls confirmed the plan, the title begins with the plan's status,
-    such as "Failed, infeasible".
+    If no simulation of the controls confirmed the plan, the title begins with the plan's status.
     """
     title = plan.scenario.title or plan.scenario.name
     return title if plan.is_flyable else f"{STATUS_WORDS[plan.status]}: {title}"
@@ -318,10 +314,10 @@ def _plan_values(plan: "Plan") -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class FreeClimb:
-    """Climb that is impossible: its potential energy exceeds the flight's energy above hovering.
+    """Climb whose potential energy exceeds the flight's energy above hovering: it is impossible.
 
-    Some power models do not depend on the airspeed, and therefore omit the power of climbing. With
-    such a model, a plan can contain an impossible climb. The report warns the user of it.
+    If a power model does not depend on the airspeed, it omits the power of climbing. A plan can
+    then contain an impossible climb, and the report warns the user of it.
 
     Attributes
     ----------
@@ -340,14 +336,9 @@ class FreeClimb:
 
 
 def _free_climb(plan: "Plan") -> FreeClimb | None:
-    """Return the mission's climb if it is physically impossible, None otherwise.
+    """Return the mission's climb if it needs more energy than the plan spends above hovering.
 
-    The climb is impossible if its potential energy exceeds the plan's energy above hovering. In
-    three cases the climb is not judged, and the result is None:
-
-    - The power may depend on the airspeed.
-    - The mission releases payload on the way.
-    - The controls of the plan were not simulated.
+    The result is None for any other climb, and for plans that cannot be judged.
     """
     scenario = plan.scenario
     height, potential = climb_of(scenario)
@@ -385,15 +376,9 @@ def climb_of(scenario: "Scenario") -> tuple[float, float]:
 
 
 def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
-    """Return a text that describes the horizontal wind along the trajectory of a plan.
+    """Return a text on mean vector, least and greatest speed of the horizontal wind of a plan.
 
-    The text states the mean wind vector, and the least and the greatest speed. It is empty in calm
-    air, or if the table has no columns of the wind.
-
-    Parameters
-    ----------
-    columns : mapping
-        Columns of the plan's trajectory table.
+    The text is empty in calm air, or if `columns` of the trajectory table lack the wind.
     """
     if not set(_WIND) <= set(columns):
         return ""
@@ -409,23 +394,12 @@ def _wind_words(columns: Mapping[str, np.ndarray]) -> str:
 
 
 def _battery_use(plan: "Plan", columns: Mapping[str, np.ndarray]) -> dict[str, float | None]:
-    """Return a plan's path length and battery use, and time and distance on a full charge.
+    """Return a plan's path length, battery use, and time and distance on a full charge.
 
-    `columns` are the columns of the plan's trajectory table.
-
-    Returns
-    -------
-    dict
-        Values by key:
-
-        - `path_m`: path length [m]. It is 0 for a path of at most 0.1 m (hovering). It is also 0 if
-          the plan's controls were not simulated, for example because the solve failed.
-        - `battery_percent`: charge used [percent]. It is None if the plan's controls were not
-          simulated, or if the table has no column of the charge.
-        - `charge_minutes`: flight time on a full charge [minutes]. The key is absent if
-          `battery_percent` is None.
-        - `charge_m`: distance on a full charge [m]. The key is absent if `battery_percent` is None.
+    The keys are `path_m`, `battery_percent`, `charge_minutes` and `charge_m`. Without data on the
+    charge, `battery_percent` is None and the last two are absent.
     """
+    # The controls were not simulated, for example because the solve failed.
     if plan.verification is None:
         return {"path_m": 0.0, "battery_percent": None}
     path = float(way_flown(columns)[-1])
@@ -508,8 +482,7 @@ def _run_values(result: "RunResult", replanned: "pd.DataFrame") -> dict[str, Any
 def _is_good(result: "RunResult") -> bool:
     """Return whether a run succeeded, so that its report shows the main result in green.
 
-    A run succeeds if its plan is verified. With a wind forecast, every flight must also reach the
-    goal.
+    The plan must be verified. With a wind forecast, every flight must also reach the goal.
     """
     is_untold = result.plan.scenario.wind.forecast is not None
     arrived = result.comparison[ComparisonColumn.ARRIVED].astype(bool)
@@ -527,26 +500,15 @@ def prepare_figures(figures: Figures) -> None:
 
 
 def _gallery() -> ModuleType:
-    """Import the module `gallery`, which lists the figures of reports, and return it.
-
-    The module imports matplotlib, which takes longer than a solve. It is therefore imported only
-    when a figure is needed.
-    """
+    """Import the module `gallery`, which lists the figures of reports, and return it."""
+    # The module imports matplotlib, which takes longer than a solve.
     from pyomo_quad.report import gallery  # noqa: PLC0415
 
     return gallery
 
 
 def _from_gallery(listed: Callable[[ModuleType], Iterable[Drawing]]) -> Iterator[Drawing]:
-    """Import the module `gallery`, and yield the figures that a function makes with it.
-
-    The import takes place when the first figure is requested. A report without figures thus avoids
-    the slow import of `gallery` and matplotlib.
-
-    Parameters
-    ----------
-    listed : callable
-        Function that takes the module `gallery` and returns the figures, such as
-        ``lambda gallery: gallery.drawings_of_solve(plan)``.
-    """
+    """Yield the figures that the function `listed` makes with the module `gallery`."""
+    # The slow import takes place when the first figure is requested, so that a report without
+    # figures avoids it.
     yield from listed(_gallery())

@@ -195,7 +195,7 @@ def save_figure(
 def _drawn(draw: Callable[[], Figure]) -> Figure:
     """Draw a figure with the function `draw`, prepare it for fast saving, and return it.
 
-    Empty axis labels get a constant position. A text that is set later is misplaced.
+    The text of an axis label that is empty now must not be set later.
     """
     figure = draw()
     for axes in figure.axes:
@@ -491,8 +491,7 @@ def last_end(flights: Sequence[StyledFlight]) -> float:
 def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
     """Return whether flights have equal durations, up to the relative tolerance `SAME_TIME`.
 
-    Only then can their energies above hovering be compared. The energy above hovering is a flight's
-    energy less the energy of hovering for the same time.
+    Energies above hovering can be compared only between flights of equal duration.
     """
     return all(isclose(f.duration_s, flights[0].duration_s, rel_tol=SAME_TIME) for f in flights)
 
@@ -500,8 +499,8 @@ def have_equal_durations(flights: Sequence[StyledFlight]) -> bool:
 def fair_pair(flights: Sequence[StyledFlight]) -> tuple[StyledFlight, ...]:
     """Return the two flights that the figures of states show: the plan and one baseline flight.
 
-    The baseline flight has the name `FAIR_BASELINE`: a controller follows a smooth reference
-    trajectory. If `flights` lacks it, only the plan is returned.
+    In the baseline flight, named `FAIR_BASELINE`, a controller follows a smooth reference
+    trajectory. If `flights` lacks this flight, only the plan is returned.
 
     Parameters
     ----------

@@ -1,6 +1,7 @@
 """CSV tables and JSON summaries of reports: writing and reading.
 
-Equal tables or summaries give files with the same bytes. Summaries contain wall times.
+Equal content gives files with equal bytes. Summaries also hold wall times, which differ between
+runs.
 """
 
 import csv
@@ -91,8 +92,8 @@ def flight_summary(
     arrived : bool
         Whether the flight reached the goal.
     wall_s : mapping
-        Wall time [s] of phases of the program, such as import, by name. The summary also has the
-        wall time of the flight's simulation, taken from `flight`.
+        Wall time [s] of phases of the program, such as import, by name. The wall time of the
+        simulation is taken from `flight`.
     """
     return {
         "scenario": scenario.name,
@@ -367,8 +368,8 @@ AIMS_NAME = "energy_and_charge.csv"
 def read_front(folder: Path) -> "pd.DataFrame | None":
     """Read the energy-time front (least energy against duration) of a report folder.
 
-    Each point of the front is the optimal flight for one price of time: the extra energy accepted
-    to shorten the flight by one second [J/s = W].
+    Each point is the optimal flight for one price of time, the extra energy accepted to shorten the
+    flight by one second [J/s = W].
 
     Parameters
     ----------
@@ -378,9 +379,8 @@ def read_front(folder: Path) -> "pd.DataFrame | None":
     Returns
     -------
     DataFrame or None
-        One row for each price of time. The columns are the members of the enumeration
-        `FrontColumn`: price of time [W], duration [s], energy [J], and whether the point is the
-        plan of the report. None if the report has no front.
+        Price of time [W], duration [s], energy [J], and whether the point is the report's plan: the
+        columns of `FrontColumn`. None if the report has no front.
 
     Raises
     ------

@@ -123,8 +123,8 @@ def _whole_faces(zone: KeepOut) -> Iterator[FloatArray]:
 def _clipped(face: FloatArray, limits: FloatArray) -> FloatArray:
     """Clip a convex polygon to an axis-parallel box (algorithm of Sutherland and Hodgman).
 
-    `face` and the result hold corners in order [m], shape (n, 3). `limits` holds the least and the
-    greatest x, y and z, shape (3, 2). The result may be empty.
+    `face` and the result hold corners [m], shape (n, 3). `limits` has shape (3, 2). The result may
+    be empty.
     """
     for axis, ends in enumerate(limits):
         for side, end in zip((1.0, -1.0), ends, strict=True):

@@ -35,29 +35,23 @@ class Figures:
     Attributes
     ----------
     energy : float
-        Relative tolerance of the energy. It bounds the difference between the plan's energy and the
-        least energy, and the difference between the simulated energy and the plan's energy. Mesh
-        refinement stops when the collocation error of the states is at most this tolerance.
+        Relative tolerance of the energy, between the plan and the least energy, and between the
+        simulation and the plan. It also bounds the collocation error at which mesh refinement
+        stops.
     miss : float
-        Largest deviation of the simulated final state from the mission's goal. The simulation has
-        no feedback. The deviation of each state x, in the state's unit (m, m/s or rad), is divided
-        by max(abs(x), 1). At a waypoint, it is the distance [m] outside the waypoint's radius.
+        Largest deviation of the final state from the goal in the simulation, which has no feedback.
+        The deviation of a state x [m, m/s or rad] is divided by max(abs(x), 1). For a waypoint,
+        `miss` bounds the distance [m] outside the waypoint's radius.
     breach : float
         Largest relative violation of a limit between collocation points: the violation divided by
         max(abs(limit), 1).
     turning : float
-        Largest tolerated rate of change of the heading [rad/s], in a mission whose heading must
-        stay constant. The level `quick` tolerates about 3 deg/s, and the level `standard` about 0.5
-        deg/s. A brief turn at these rates changes neither the path nor the energy.
+        Largest rate of change of the heading [rad/s], if the mission keeps the heading constant.
     intrusion : float
-        Largest distance [m] by which the flight may violate a limit of the airspace: the required
-        distance from a keep-out zone, the floor, the ceiling or the fence. For these limits both
-        `breach` and `intrusion` must be met, because a relative tolerance is wide at a high limit:
-        1 % of a ceiling at 50 m is half a metre. At the level `proof`, `breach` alone is strict
-        enough (5 mm at 50 m), and `intrusion` is infinite.
+        Largest distance [m] by which the flight may violate a limit of the airspace, such as the
+        ceiling or the distance from a zone. `breach` also applies to these limits.
     integration : float
-        Relative and absolute tolerance of the simulation. In a flight without feedback, errors grow
-        about a millionfold in half a minute. The value is therefore far below the other tolerances.
+        Relative and absolute tolerance of the simulation.
     spacing : float
         Distance [m] between neighbouring places at which the simulated path is checked for entry
         into a keep-out zone. Parts of the path far from all zones are checked less densely.
@@ -66,8 +60,14 @@ class Figures:
     energy: float
     miss: float
     breach: float
+    # About 3 deg/s at `quick`, and 0.5 deg/s at `standard`. A brief turn at these rates changes
+    # neither the path nor the energy.
     turning: float
+    # A relative tolerance is wide at a high limit: 1 % of a ceiling at 50 m is half a metre. At the
+    # level `proof`, `breach` alone is strict enough (5 mm at 50 m), and `intrusion` is infinite.
     intrusion: float
+    # In a flight without feedback, errors grow about a millionfold in half a minute. The value is
+    # therefore far below the other tolerances.
     integration: float
     spacing: float
 

@@ -39,7 +39,7 @@ class Ball(NamedTuple):
 
     A ball is the set of places whose distance from a centre is at most a radius. The distance is
     measured in x, y and z for a sphere, in x and y for a cylinder, and in one coordinate for a
-    slab, the space between two parallel planes. In its coordinate, a slab is an interval:
+    slab, the space between two parallel planes. A slab is called an interval of its coordinate:
 
     zone | balls
     sphere | one ball in x, y and z
@@ -53,8 +53,8 @@ class Ball(NamedTuple):
         Coordinates in which the distance is measured: 0 for x, 1 for y, 2 for z. Empty for an
         interval along the normal of a polygon's edge.
     centre : tuple of float
-        Coordinates of the centre [m], one for each member of `axes`. An interval along the normal
-        of a polygon's edge has one coordinate: the position of its centre along the normal.
+        Coordinates of the centre [m], one for each member of `axes`. For an interval along the
+        normal of a polygon's edge, its one coordinate along the normal.
     radius : float
         Radius, or half the length of the interval [m].
     normal : tuple of float or None
@@ -68,7 +68,7 @@ class Ball(NamedTuple):
     normal: tuple[float, float] | None = None
 
     def coordinates(self, places: "ArrayLike") -> "FloatArray":
-        """Return the coordinates of places with which `depth` computes the distance to the centre.
+        """Return the coordinates of places in which the distance to the centre is measured.
 
         These are x, y and z for a sphere, and x and y for a cylinder. For an interval, the result
         is x, y or z, or the position along the normal of a polygon's edge.
@@ -125,8 +125,8 @@ _STRAIGHT = 1e-9
 def turns_of(corners: Sequence[tuple[float, float]]) -> list[float]:
     """Return twice the signed area of the triangle that each corner forms with its neighbours.
 
-    The outline turns left at a corner with a positive area and right with a negative area. A convex
-    polygon in counter-clockwise order has no negative area.
+    A left turn of the outline at a corner gives a positive area, a right turn a negative area. A
+    convex polygon in counter-clockwise order has no negative area.
 
     Parameters
     ----------
@@ -170,18 +170,10 @@ def _refuse_folded(corners: Sequence[tuple[float, float]], what: str) -> None:
 def _edges_of(
     corners: Sequence[tuple[float, float]],
 ) -> Iterator[tuple[tuple[float, float], float, float]]:
-    """Yield the unit normal of each edge of a polygon, and the polygon's extent along the normal.
+    """Yield, for each edge of a polygon, its unit normal and the polygon's extent along it.
 
-    Parameters
-    ----------
-    corners : sequence of (float, float)
-        Corners x, y of the polygon, in order [m].
-
-    Yields
-    ------
-    tuple
-        Unit normal (x, y), and the least and greatest coordinate of the polygon along the normal
-        [m]. The normal points outwards if the corners are in counter-clockwise order.
+    The extent is the least and the greatest coordinate along the normal [m]. The normal points
+    outwards if `corners` are counter-clockwise.
     """
     for (x0, y0), (x1, y1) in pairwise((*corners, corners[0])):
         length = hypot(x1 - x0, y1 - y0)
@@ -194,8 +186,7 @@ def _edges_of(
 def _across_edges(corners: Sequence[tuple[float, float]]) -> Iterator[Ball]:
     """Yield, for each edge of a convex polygon, the slab between the edge and the farthest corner.
 
-    `corners` are in order [m]. The intersection of the slabs is the polygon. Parallel edges have a
-    common slab.
+    The intersection of the slabs is the polygon. Two parallel edges give one slab.
     """
     seen: list[tuple[float, float]] = []
     for normal, low, high in _edges_of(corners):
@@ -417,14 +408,13 @@ class TerrainGrid(Part):
         Parameters
         ----------
         side : int
-            1 for a surface that is nowhere below the ground, from which the floor (least
-            allowed height) is measured. -1 for a surface that is nowhere above the ground, from
-            which the ceiling (greatest allowed height) is measured.
+            1 for a surface nowhere below the ground, from which the floor (least allowed
+            height) is measured; -1 for one nowhere above it, for the ceiling (greatest height).
         """
         return _surface(self, side)
 
     def surface_of_ways(self, home: tuple[float, float, float]) -> "Surface":
-        """Return a smooth surface of heights at which a horizontal flight home clears the terrain.
+        """Return a smooth surface that clears the terrain on straight horizontal flights home.
 
         At each place, the surface is at least as high as the highest ground on the straight line
         from there to the home.
@@ -445,8 +435,8 @@ class TerrainGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's four edges, by name ("west", "east", "south", "north").
 
-        A position holds the axis (0 for x, 1 for y), the end of this axis (-1 lower, 1 upper) and
-        the edge's coordinate on it [m].
+        A position is (axis, end, coordinate [m]). Axis 0 is x, and 1 is y. The end is -1 at the
+        lower and 1 at the upper end of the axis.
         """
         return {
             "west": (0, -1.0, self.x[0]),

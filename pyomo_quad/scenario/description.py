@@ -104,18 +104,8 @@ def field_unit(path: str) -> str:
 
 
 def _origin(provenance: Mapping[str, str], path: FieldPath) -> str:
-    """Return the origin of a field's value, such as "default" or "library dji_phantom_2".
-
-    Only some origins are recorded. Any other field has the origin of the list or table that
-    contains it.
-
-    Parameters
-    ----------
-    provenance : mapping
-        Recorded origins, by dotted path.
-    path : tuple of str and int
-        Path of the field.
-    """
+    """Return the origin of a field's value, such as "default" or "library dji_phantom_2"."""
+    # A field without a recorded origin has the origin of the list or table that contains it.
     held = (provenance.get(spell(path[:length])) for length in range(len(path), 0, -1))
     return next(filter(None, held), "default")
 
@@ -222,23 +212,10 @@ def writable_fields(model: type[BaseModel]) -> tuple[WritableField, ...]:
 
 
 def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
-    """Return JSON Schemas for alternative notations of a field in a file.
+    """Return the JSON Schemas of a field's alternative notations, by key; empty without any.
 
-    A place may be given by latitude and longitude, and a wind direction as the direction from which
-    the wind blows.
-
-    Parameters
-    ----------
-    name : str
-        Name of the field.
-    field : dict
-        JSON Schema of the field.
-
-    Returns
-    -------
-    dict
-        JSON Schema of the value, by the key of the alternative notation in the file. Empty if the
-        field has no alternative notation.
+    A place may be given by latitude and longitude, and a wind direction as that from which it
+    blows.
     """
     found: dict[str, Any] = {}
     if field.get("unit") == "rad" and name == "direction":
@@ -252,16 +229,9 @@ def _alternative_notations(name: str, field: dict[str, Any]) -> dict[str, Any]:
 
 
 def _unit_keys(name: str, field: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return the keys by which a file may give a field in other units, each with the unit's name.
+    """Return the keys by which a file may give a field in other units, with the unit's name.
 
-    For example, the field `roll_max` is in radians, and its key `roll_max_deg` is in degrees.
-
-    Parameters
-    ----------
-    name : str
-        Name of the field.
-    field : mapping
-        JSON Schema of the field.
+    For example, the key `roll_max_deg` gives the field `roll_max` in degrees.
     """
     degrees = [(f"{name}{DEGREES}", "degrees")] if field.get("unit") == "rad" else []
     return degrees + [(key, key.partition("_")[2]) for key in field.get("unit_keys", {})]
@@ -331,33 +301,18 @@ def _allowed(field: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
 
 
 def _is_ranged(field: Mapping[str, Any], option: Mapping[str, Any]) -> bool:
-    """Return whether a field's plausible range applies to values of a given type.
+    """Return whether a field's plausible range applies to the type with the schema `option`.
 
-    A field may allow several types, such as a number and the word "free". The plausible range
-    applies to numbers and lists of numbers only.
-
-    Parameters
-    ----------
-    field : mapping
-        JSON Schema of the field. Its key `sound` holds the plausible range, if there is one.
-    option : mapping
-        JSON Schema of the given type.
+    A field may allow several types, such as a number and the word "free".
     """
+    # The key `sound` holds the plausible range, which applies to numbers and lists of numbers only.
     return "sound" in field and option.get("type") in {"number", "integer", "array"}
 
 
 def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
     """Return the allowed range of a number in words, followed by the reason for the range.
 
-    The allowed range is the intersection of the plausible range and the range between minimum and
-    maximum of the JSON Schema.
-
-    Parameters
-    ----------
-    sound : mapping
-        Plausible range, with the keys `low`, `high` and `because` (the reason for the range).
-    option : mapping
-        JSON Schema of the number, or of a list of numbers.
+    The number must be in the plausible range `sound` and within the limits of its JSON Schema.
     """
     number = option.get("items", option)
     low = max(sound["low"], number.get("minimum", -inf), number.get("exclusiveMinimum", -inf))
@@ -372,14 +327,9 @@ def _range(sound: Mapping[str, Any], option: Mapping[str, Any]) -> str:
 
 
 def _allowed_values(option: Mapping[str, Any], definitions: Mapping[str, Any]) -> str:
-    """Return in words the values that a field accepts, for one of the field's allowed types.
+    """Return in words the values that a field accepts, for one of its types, `option`.
 
-    Parameters
-    ----------
-    option : mapping
-        JSON Schema of the type, such as a number, a list or an enumeration.
-    definitions : mapping
-        JSON Schemas to which `option` may refer, by name.
+    `definitions` holds the JSON Schemas to which the schema `option` may refer, by name.
     """
     held = definitions.get(option.get("$ref", "").rpartition("/")[2], {})
     if "const" in option:

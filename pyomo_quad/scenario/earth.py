@@ -134,8 +134,8 @@ def local_place(
     Raises
     ------
     ScenarioError
-        If a coordinate is missing or out of range, if a key is unknown, or if the mission has no
-        origin. The message of the error is a single line.
+        If a coordinate is missing or out of range, a key is unknown, or the mission has no origin.
+        The message is a single line.
     """
     keys = (_LATITUDE, _LONGITUDE, *((_ALTITUDE, _HEIGHT) if count == 3 else ()))
     strange = next((key for key in written if key not in keys), None)

@@ -111,18 +111,7 @@ class Part(BaseModel):
     def _record(self, dump: SerializerFunctionWrapHandler) -> dict[str, Any]:
         """Serialise the table for a record, such as the scenario in the summary of a report.
 
-        A late field is a field that earlier versions of the package did not have. The record leaves
-        out late fields with the default value.
-
-        Parameters
-        ----------
-        dump : callable
-            Pydantic's own serialiser, which converts the whole table to a dictionary.
-
-        Returns
-        -------
-        dict
-            Values by field name.
+        Late fields with their default value are left out (see `quantity`).
         """
         written: dict[str, Any] = dump(self)
         for name, field in type(self).model_fields.items():
@@ -187,15 +176,14 @@ def quantity(
     sound : Sound, optional
         Plausible range of the number.
     is_late : bool, optional
-        Whether the field is late, that is, was missing in earlier versions of the package. When the
-        package stores a scenario, for example in a report, it leaves out a late field whose value
-        is the default. When it reads a stored scenario, a missing late field gets its default.
+        Whether the field is late: earlier versions of the package did not have it. A stored
+        scenario, as in a report, leaves out late fields that have their default.
     initial : object, optional
-        Value of the field if a user's scenario file leaves it out. In a scenario that the package
-        has stored, a missing field gets `default` instead. By default the two values are equal.
+        Value of the field if a user's scenario file leaves it out. If a stored scenario leaves it
+        out, the value is `default`. Without `initial`, the value is `default` in both cases.
     unit_keys : mapping, optional
-        Other keys under which a file may give the field in another unit. The value of each key is
-        the factor from that unit to `unit`.
+        Factor from another unit to `unit`, by the key under which a file may give the field in that
+        unit.
     **limits
         Constraints of pydantic, such as ``gt=0`` or ``max_length=200``.
 
@@ -289,9 +277,8 @@ def other_names_of(model: type[BaseModel], name: str) -> tuple[str, ...]:
 def initial_of(model: type[BaseModel], name: str) -> Any:  # noqa: ANN401
     """Return the initial value of a field, or None if the field has no initial value.
 
-    If a user's scenario file omits the field, the field gets the initial value. If a scenario that
-    the package has stored omits it, the field gets its default instead (see `quantity`). Initial
-    values 0, False and "" also give None.
+    The initial value is that of a field that a user's scenario file omits. A field that a stored
+    scenario omits gets its default instead. Initial values 0, False and "" also give None.
 
     Parameters
     ----------

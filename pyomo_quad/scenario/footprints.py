@@ -1,12 +1,11 @@
 """Zones with polygonal ground plan: division into convex parts, and import from GeoJSON.
 
 Keep-out zones must be convex. To keep the flight out of a zone, the model requires each place of
-the flight to lie on the outer side of the plane of at least one face. In a concave zone, some inner
-places satisfy this condition, too.
+the flight to lie on the outer side of the plane of at least one face. This condition would also
+admit some places inside a concave zone.
 
-A concave polygon is divided into convex zones NAME-1, NAME-2 and so on. A concave fence is replaced
-by its convex hull. The parts of the hull outside the fence become keep-out zones fence-1, fence-2
-and so on.
+A concave polygon is divided into convex zones NAME-1, NAME-2 and so on. A concave fence becomes its
+convex hull, with keep-out zones fence-1, fence-2 and so on outside the fence.
 """
 
 import json
@@ -71,11 +70,7 @@ def _parts_of_zone(zone: Mapping[str, Any]) -> list[Any]:
 
 
 def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and see `is_convex`
-    """Convert corners as written in a scenario file to a shapely polygon.
-
-    The result is None if there are fewer than three corners, or a corner is not a pair of numbers
-    below 1e9. It is also None if the outline crosses itself or encloses no area.
-    """
+    """Convert corners as written in a scenario file to a shapely polygon; None if invalid."""
     from shapely import Polygon  # noqa: PLC0415  for polygons alone
 
     if not isinstance(written, list | tuple) or len(written) < 3:
@@ -84,6 +79,7 @@ def _polygon_of(written: Any) -> Any:  # noqa: ANN401  before validation, and se
         is_pair = isinstance(corner, list | tuple) and len(corner) == 2
         if not is_pair or not all(is_number(n) and abs(n) < 1e9 for n in corner):
             return None
+    # An outline is invalid if it crosses itself or encloses no area.
     polygon = Polygon(written)
     return polygon if polygon.is_valid and polygon.area > 0.0 else None
 
@@ -142,19 +138,9 @@ def _plain(polygon: Any) -> _Ring:  # noqa: ANN401  see `is_convex`
 
 
 def _cut_off(polygon: Any) -> tuple[_Ring, list[_Ring]]:  # noqa: ANN401  see `is_convex`
-    """Return the convex hull of a concave fence, and the parts of the hull outside the fence.
+    """Return the convex hull of a concave fence, and convex parts of the hull outside the fence.
 
-    The flight must stay in the hull and out of the parts, which become keep-out zones.
-
-    Parameters
-    ----------
-    polygon : shapely.Polygon
-        The concave fence.
-
-    Returns
-    -------
-    tuple of (list, list of list)
-        Corners (x, y) of the hull, and a list of the corners of each part. Parts are convex.
+    The hull and each part are lists of corners (x, y).
     """
     from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 
@@ -171,9 +157,9 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     Parameters
     ----------
     file : Path
-        A FeatureCollection of polygons with longitudes and latitudes on WGS 84. Each feature has
-        the property `top` (or `height`), and may have the properties `bottom` (or `min_height`; by
-        default 0) and `name`. Top and bottom are in m above the origin.
+        A FeatureCollection of polygons in longitude and latitude (WGS 84). Properties: `top` (or
+        `height`) and optionally `bottom` (or `min_height`; default 0), both in m above the origin,
+        and `name`.
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin or None
@@ -182,14 +168,14 @@ def read_footprints(file: Path, place: str, origin: GeodeticOrigin | None) -> li
     Returns
     -------
     list of dict
-        A table `airspace.keep_out`, as in a scenario file, for each keep-out zone. A concave
-        polygon is divided into convex parts, and each part becomes a zone.
+        A table `airspace.keep_out`, as in a scenario file, for each zone. A concave polygon gives a
+        zone for each of its convex parts.
 
     Raises
     ------
     ScenarioError
         If the file cannot be read, the mission has no origin, or a feature is not a polygon with a
-        height. The message of the error is a single line.
+        height. The message is a single line.
     """
     features = _features(file, place)
     if origin is None:
@@ -259,10 +245,9 @@ def _height(
 
 
 def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401  untrusted
-    """Yield the rings (closed outlines) of each polygon of a GeoJSON feature.
+    """Yield the rings (closed outlines) of each polygon of a GeoJSON feature, outer ring first.
 
-    The outer ring precedes the rings of holes. Raises a ScenarioError, which begins with `where`,
-    if the geometry is not a Polygon or MultiPolygon.
+    Raises a ScenarioError, which begins with `where`, for any other geometry.
     """
     geometry = feature.get("geometry") if isinstance(feature, Mapping) else None
     told = geometry if isinstance(geometry, Mapping) else {}
@@ -276,16 +261,9 @@ def _polygons(feature: Any, where: str) -> Iterator[list[Any]]:  # noqa: ANN401 
 
 
 def _in_metres(rings: list[Any], origin: GeodeticOrigin, where: str) -> Any:  # noqa: ANN401
-    """Convert a polygon's rings, in degrees, to a shapely polygon in metres from the origin.
+    """Convert a GeoJSON polygon's rings, in degrees, to a shapely polygon in metres.
 
-    Parameters
-    ----------
-    rings : list
-        Rings of a GeoJSON polygon (longitude, latitude): the outline, then any holes.
-    origin : GeodeticOrigin
-        Position of x = y = 0 on earth.
-    where : str
-        Beginning of error messages: the file and the feature.
+    The first ring is the outline, the others are holes. Error messages begin with `where`.
     """
     from shapely import Polygon  # noqa: PLC0415  see `_polygon_of`
 

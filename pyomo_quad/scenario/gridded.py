@@ -67,7 +67,7 @@ class Quantity:
     columns : tuple of str
         Column of each component in a CSV or Parquet table.
     needed : int
-        Number of components that a file must have: the first `needed` ones. The others are
+        Number of components that a file must have, counted from the first. The others are
         optional.
     units : mapping of str to float
         Units allowed in NetCDF, each with the factor from the unit to SI units. The first unit is
@@ -93,9 +93,8 @@ class Gridded(NamedTuple):
         Values at the grid points. The first array axis is the component of the quantity. Each
         further array axis is an axis of the grid.
     on_earth : tuple of str
-        Names of the horizontal axes whose grid points are in degrees: "x" if the grid points of
-        axis x are longitudes, and "y" if the grid points of axis y are latitudes. Empty if both
-        axes are in metres.
+        Names of the horizontal axes whose grid points are in degrees: "x" for longitudes, "y" for
+        latitudes. Empty if both axes are in metres.
     is_above_sea : bool
         Whether the heights of axis z are altitudes above the sea.
     """
@@ -130,8 +129,8 @@ def read_gridded(file: Path, place: str, quantity: Quantity) -> Gridded:
     Raises
     ------
     ScenarioError
-        If the file cannot be read or its data are not on a rectilinear grid. The message of the
-        error is a single line.
+        If the file cannot be read or its data are not on a rectilinear grid. The message is a
+        single line.
     """
     suffix = file.suffix.lower()
     try:
@@ -151,8 +150,8 @@ def in_metres(field: Gridded, origin: GeodeticOrigin | None, place: str) -> Grid
     """Convert the axes of gridded data to metres from the mission's origin.
 
     Longitudes are converted at the grid's middle latitude, and latitudes at its middle longitude.
-    Raises a ScenarioError if the grid spans too much of the earth, or has impossible angles. It
-    also raises the error if only one horizontal axis is in degrees.
+    Raises a ScenarioError if the grid is so large that this conversion is inexact, if an angle is
+    impossible, or if only one horizontal axis is in degrees.
 
     Parameters
     ----------
@@ -256,8 +255,7 @@ def _listed(axes: tuple[str, ...]) -> str:
 def _named(variables: Mapping[Any, Any], names: tuple[str, ...]) -> Any:  # noqa: ANN401
     """Return the variable of a NetCDF file that has one of the given names, or None.
 
-    A variable's name or its attribute `standard_name` must match. Earlier members of `names` have
-    precedence.
+    The variable's name or its attribute `standard_name` counts. Earlier `names` have precedence.
     """
     held = list(variables.values())
     for name in names:
@@ -338,19 +336,9 @@ def _from_table(file: Path, place: str, quantity: Quantity) -> Gridded:
 
 
 def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
-    """Raise an error if the columns of a table do not fit a given quantity on a grid.
+    """Raise a ScenarioError if the columns of a table do not fit a quantity on a grid.
 
-    Columns for x, y and the required components must exist. Other axes and components are optional.
-    Unknown and repeated columns are errors.
-
-    Parameters
-    ----------
-    columns : list of str
-        Names of the columns in the file.
-    place : str
-        Beginning of the error message: the scenario field that names the file.
-    quantity : Quantity
-        Axes and column names of the quantity, such as wind or height of the ground.
+    The message begins with `place`. Unknown and repeated columns are errors, too.
     """
     here, beside = list(_AXIS_COLUMNS.values())[:2], quantity.columns[quantity.needed :]
     known = (*(_AXIS_COLUMNS[axis] for axis in quantity.axes), *quantity.columns)
@@ -370,10 +358,9 @@ def _check_columns(columns: list[str], place: str, quantity: Quantity) -> None:
 
 
 def _rising(field: Gridded, place: str) -> Gridded:
-    """Sort gridded data so that all axes ascend, and drop unneeded axes of height or time.
+    """Sort gridded data so that all axes ascend; drop axes of height or time with one point.
 
-    An axis of height or time is dropped if it has only one point. Raises a ScenarioError, which
-    begins with `place`, if the axis x or y is missing, or if there are too many values.
+    Raises a ScenarioError if the axis x or y is missing, or if there are too many values.
     """
     axes, components = dict(field.axes), field.components
     for lacking in (axis for axis in PLACE_AXES if axis not in axes):

@@ -66,9 +66,8 @@ def complaints(
     prefix : tuple, optional
         Path of the table in the file, put before the paths in messages.
     spared : sequence of tuple, optional
-        Paths of tables and fields that could not be filled in, because of another error such as an
-        unreadable data file. This error is reported elsewhere. Therefore missing or contradictory
-        fields at or below these paths are not reported here.
+        Paths at and below which missing or contradictory fields are not reported, because another
+        error, such as an unreadable data file, has left them incomplete.
 
     Returns
     -------
@@ -114,10 +113,7 @@ def listed(lines: Sequence[str]) -> str:
 
 
 def _without_branches(path: FieldPath, model: type[BaseModel]) -> FieldPath:
-    """Return the path of a pydantic error without the type name that pydantic may append.
-
-    `path` is the path that pydantic reports, and `model` the model class of the validated table.
-    """
+    """Return the path of a pydantic error without the type name that pydantic may append."""
     table, _ = declared_place(model, path[:-1])
     last = path[-1] if path else None
     # Some fields, such as `mission.duration`, accept a number or a word. For an invalid value,
@@ -186,8 +182,7 @@ def declared_place(
 ) -> tuple[type[BaseModel], str]:
     """Return the innermost table on the path of a field, and the unit of the field.
 
-    For the path `mission.goal.position[2]` the innermost table is `goal`, and the unit is that of
-    `position`.
+    For example, `mission.goal.position[2]` gives the table `goal` and the unit of `position`.
 
     Parameters
     ----------

@@ -273,15 +273,15 @@ class Mission(Part):
     def paced(self, legs: Sequence[float]) -> tuple[float, ...]:
         """Return the times at which waypoints are reached and left, and the end time.
 
-        The durations of all legs between two prescribed times are multiplied by a common factor, so
-        that these times are met. The start has the prescribed time 0. Legs after the last
-        prescribed time keep their desired durations.
+        The durations of all legs between two prescribed times are multiplied by one factor, so that
+        both times are met. The start has the prescribed time 0. Legs after the last prescribed time
+        keep their desired durations.
 
         Parameters
         ----------
         legs : sequence of float
-            Desired duration of each leg [s], without the times of hovering at waypoints. A leg is
-            the flight from one place (start, waypoint or goal) to the next.
+            Desired duration of each leg [s], without hovering at waypoints. A leg is the flight
+            from one place (start, waypoint or goal) to the next.
 
         Returns
         -------
@@ -350,8 +350,8 @@ class Mission(Part):
     def chosen(self, duration: float) -> dict[str, float | str | None]:
         """Return the new values of the fields that change if a free duration becomes fixed.
 
-        The limits on the duration and the price of time get their defaults. The aim of least time
-        becomes the aim of least energy.
+        In addition to the duration, the limits on the duration and the price of time change: they
+        get their defaults. The aim of least time becomes the aim of least energy.
 
         Parameters
         ----------

@@ -170,25 +170,13 @@ def _motor_constants(motor: MotorConstants) -> str:
 
 
 def _least_speed(motor: MotorConstants, drag_torque_coefficient: float) -> float:
-    """Return the least rotor speed at which a motor gives out no more power than it takes in.
+    """Return the rotor speed [rad/s] from which a motor gives out no more power than it takes in.
 
-    A motor of the model creates power if torque constant times voltage constant exceeds 1. Above
-    the returned speed, its copper loss exceeds the created power.
-
-    Parameters
-    ----------
-    motor : MotorConstants
-        Torque constant, voltage constant and resistance.
-    drag_torque_coefficient : float
-        Torque of the rotor's air drag divided by the square of the rotor speed [N m s²/rad²].
-
-    Returns
-    -------
-    float
-        Rotor speed [rad/s]; 0 if the motor creates no power at any speed.
+    The result is 0 unless k_t k_v > 1. `drag_torque_coefficient` is in N m s²/rad².
     """
-    # The created power is torque times speed times a constant, and grows with the third power of
-    # the speed. The copper loss is resistance times current squared, and grows with the fourth
+    # If k_t k_v exceeds 1, the motor of the model creates power below the returned speed. The
+    # created power is torque times speed times a constant, and grows with the third power of the
+    # speed. The copper loss is resistance times current squared, and grows with the fourth
     # power. Both are equal at the returned speed.
     created = max(0.0, motor.torque_constant - 1 / motor.voltage_constant)
     return created / (motor.resistance * drag_torque_coefficient / motor.torque_constant)
@@ -206,19 +194,8 @@ def _remedy(motor: MotorConstants) -> str:
 class _Hover:
     """Shaft power and ideal power of a vehicle in hover, and texts for messages about them.
 
-    Attributes
-    ----------
-    start : str
-        Beginning of an error message or remark about the power of hover. It states the drag torque
-        coefficient of the rotors and the shaft power.
-    shaft_W : float
-        Power at the shafts of all rotors [W].
-    ideal_W : float
-        Ideal power [W]: the least power for hover with the rotors' disc area, by momentum theory.
-    radius : str
-        Text that states the rotor radius [m] and its origin. The radius is the vehicle's field
-        `rotor_radius`. If the field is not given, it is the largest radius at which the rotors do
-        not overlap.
+    `start` states drag torque coefficient and shaft power, `radius` the rotor radius and its
+    origin.
     """
 
     start: str
@@ -228,24 +205,9 @@ class _Hover:
 
 
 def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
-    """Return the shaft power and the ideal power of a vehicle in hover.
+    """Return the shaft power and the ideal power of a vehicle in hover, or None.
 
-    The result also has two texts for warnings, about the drag torque and about the rotor radius.
-
-    Parameters
-    ----------
-    vehicle : Vehicle
-        The vehicle.
-    power : Power
-        Power model and air density.
-    gravity : float
-        Acceleration of gravity [m/s²].
-
-    Returns
-    -------
-    _Hover or None
-        None for the power model `momentum`, which does not use the drag torque of the rotors. Also
-        None for coaxial rotors without a given radius, because their disc area is not known.
+    None is for the power model `momentum`, and for coaxial rotors without a given radius.
     """
     if power.model is PowerModel.MOMENTUM:
         return None  # this model's powers are at least those of ideal rotors
@@ -255,7 +217,7 @@ def _hover(vehicle: Vehicle, power: Power, gravity: float) -> _Hover | None:
         radius = min((dist(*pair) / 2 for pair in combinations(places, 2)), default=inf)
         said = "the largest radius at which they do not overlap"
     if radius <= 0:
-        return None  # coaxial rotors
+        return None  # coaxial rotors, whose disc area is not known
     speed, weight = vehicle.hover_speed(gravity), vehicle.total_mass * gravity
     shaft = len(places) * vehicle.drag_torque(speed) * speed
     disc_area = len(places) * pi * radius**2

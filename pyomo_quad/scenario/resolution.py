@@ -283,26 +283,10 @@ def library_entry(kind: str, name: str) -> LibraryEntry:
 def _entry(
     kind: str, name: str, written: Mapping[str, Any], base: LibraryEntry | None
 ) -> LibraryEntry:
-    """Make a library entry from the content of its file.
+    """Make a library entry from the content `written` of its file.
 
-    In the file, a number stands alone or in a table with its source.
-
-    Parameters
-    ----------
-    kind : str
-        ``vehicles``, ``batteries`` or ``winds``.
-    name : str
-        Name of the entry in the library, or name of the user's file.
-    written : mapping
-        Content of the file.
-    base : LibraryEntry or None
-        Library entry with the values that are missing in the file. It becomes the attribute `base`
-        of the new entry; its values are not copied.
-
-    Returns
-    -------
-    LibraryEntry
-        Entry with the values and sources of the file.
+    In the file, a number stands alone or in a table with its source. The entry keeps `base`, the
+    entry with missing values, but copies no values from it.
     """
     table = LIBRARY_KINDS[kind]
     tables: dict[str, Any] = {table: {"use": name}}
@@ -371,15 +355,7 @@ def read_entry(kind: str, name: str, folder: Path) -> LibraryEntry:
 
 
 def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
-    """Yield an error message for each section or key that is not allowed in a library file.
-
-    Parameters
-    ----------
-    kind : str
-        ``vehicles``, ``batteries`` or ``winds``.
-    written : mapping
-        Content of the file.
-    """
+    """Yield an error message for each section or key that is not allowed in a library file."""
     sections = _SECTIONS.get(kind, (_FIELDS,))
     tops = ("use", _BATTERY) if kind == _VEHICLES else ("use",)
     for section, content in written.items():
@@ -399,17 +375,10 @@ def _shape_complaints(kind: str, written: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _label_complaints(table: Mapping[str, Any], place: FieldPath) -> Iterator[str]:
-    """Yield an error message for each number in a library file that is written in a wrong form.
+    """Yield an error message for each number in a library file that has a wrong form.
 
-    A number stands alone, as in ``mass = 1.3``, or in a table with the keys `value` and `source` (a
-    text).
-
-    Parameters
-    ----------
-    table : mapping
-        Part of the file to check, with all nested tables.
-    place : tuple of str
-        Path of `table` in the file. Messages state the full path of the wrong key.
+    `place` is the path of `table`. A number is plain, or a table with the keys `value` and
+    `source`.
     """
     is_labelled = len(place) > 1 and not set(_LABELS).isdisjoint(table)
     for key, content in table.items():
@@ -490,8 +459,8 @@ class Resolution:
     complaints : tuple of str
         An error message for each value that could not be determined.
     unfilled : tuple
-        Paths of the tables and fields that are incomplete because of an error. The paths of derived
-        limits, such as `limits.thrust_max`, are always among them.
+        Paths of the tables and fields that an error leaves incomplete, and always of the derived
+        limits, such as `limits.thrust_max`.
     """
 
     tables: Mapping[str, Any]
@@ -521,9 +490,9 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
     Raises
     ------
     ScenarioError
-        If an override refers to a list item that does not exist. Also if a geographic position, a
-        wind direction `from`, a zone file or a terrain file is invalid. Other errors are in the
-        result's attribute `complaints`.
+        If an override refers to a list item that does not exist, or if a geographic position, a
+        wind direction `from`, a zone file or a terrain file is invalid. Other errors are in
+        `Resolution.complaints`.
     """
     own = _with_assignments(origin, origin.document, indexed=False)
     provenance = {spell(path): "scenario" for path, _ in leaves(origin.document)}
@@ -562,11 +531,7 @@ def resolve(origin: ScenarioSource, model: type[BaseModel]) -> Resolution:
 
 
 def _initial_values(model: type[BaseModel]) -> dict[str, Any]:
-    """Return the initial values of a scenario's fields, as nested tables.
-
-    Only a few optional fields have an initial value. If a user's scenario file omits such a field,
-    the field gets this value instead of its default (see `initial_of`).
-    """
+    """Return the initial values of a scenario's fields as nested tables (see `initial_of`)."""
     tables: dict[str, Any] = {}
     for path in field_paths(model):
         table, _ = declared_place(model, path[:-1])
@@ -621,20 +586,7 @@ def _with_assignments(
 class _Filled:
     """Tables of a scenario during their completion, with the errors found so far.
 
-    Attributes
-    ----------
-    origin : ScenarioSource
-        The scenario as written.
-    own : mapping
-        Tables with the user's own values only.
-    provenance : dict
-        Origin of each value, by dotted path.
-    tables : dict
-        Tables with the values added up to now.
-    complaints : list of str
-        Error messages.
-    unfilled : list
-        Paths of the tables and fields that remain incomplete because of an error.
+    `own` holds only the user's values. `unfilled` lists the paths that an error leaves incomplete.
     """
 
     origin: ScenarioSource
@@ -655,21 +607,13 @@ class _Filled:
         self.unfilled.extend(places)
 
     def add_library(self, place: tuple[str, ...], kind: str) -> None:
-        """Add the values of the library entry that a table of the scenario names by its key `use`.
+        """Add the library entry or user's file that the key `use` of a table names.
 
-        The key may also name a user's own file. Without the key, a default entry is added. For a
-        battery, this is the pack of the vehicle's entry. In a stored scenario, an entry is added
-        only if an override sets the key.
-
-        Parameters
-        ----------
-        place : tuple of str
-            Path of the table.
-        kind : str
-            Kind of the library entry: ``vehicles``, ``batteries`` or ``winds``.
+        Without the key, a default entry is added. The default battery is the vehicle's own pack.
         """
         use = (*place, "use")
-        # A stored scenario already contains the values of its library entries.
+        # A stored scenario already contains the values of its library entries. It is completed only
+        # if an override sets the key.
         if self.origin.is_resolved and use not in self.origin.assignments:
             return
         written = table_at(self.own, *place)
@@ -728,26 +672,13 @@ class _Filled:
             self.provenance[spell(path)] = said
 
     def put_read(self, place: FieldPath, parts: Mapping[str, Any], file: str) -> None:
-        """Set a table whose fields were read from a data file, and record the file as origin.
-
-        Parameters
-        ----------
-        place : tuple of str
-            Path of the table, such as ``("wind", "grid")``.
-        parts : mapping
-            Fields of the table.
-        file : str
-            Name of the data file.
-        """
+        """Set a table whose fields were read from a data file, and record the file as origin."""
         self.put(place, parts)
         said = f"file {shown(file)[1:-1]}"
         self.provenance |= {spell((*place, part)): said for part in parts}
 
     def naming(self, path: FieldPath, file: str) -> str:
-        """Return the beginning of messages about a data file: scenario, field and file name.
-
-        `path` is the path of the scenario field that names the file, and `file` the file's name.
-        """
+        """Return the beginning of messages about a data file: scenario, field and file name."""
         return (
             f"{message_origin(self.origin, self.provenance, path)}: {spell(path)} = {shown(file)}"
         )
@@ -778,8 +709,7 @@ class _Filled:
     def add_terrain(self) -> None:
         """Add the heights of the ground from the file that `airspace.terrain` names.
 
-        If the scenario gives no floor (least height above the ground), the floor is set to the
-        clearance from keep-out zones. If it gives no clearance either, the floor is 0.
+        A missing floor (least height above the ground) becomes the clearance from zones, or 0.
         """
         airspace, path = table_at(self.tables, "airspace"), ("airspace", "terrain")
         file, clearance = airspace.get("terrain"), airspace.get("clearance", 0.0)
@@ -800,19 +730,11 @@ class _Filled:
     def is_recorded(self, place: FieldPath, named: str, content: str) -> bool:
         """Return whether a stored scenario already contains the content of a data file.
 
-        A recorded file is not read again. The result is False if an override changes the data
-        file's name or content.
-
-        Parameters
-        ----------
-        place : tuple of str
-            Path of the table that names the data file.
-        named : str
-            Field of this table with the data file's name.
-        content : str
-            Field of this table with the data file's content.
+        A recorded file is not read again. `named` and `content` are the fields with its name and
+        content.
         """
         fields = (*place, named), (*place, content)
+        # After an override of the file's name or content, the record no longer counts.
         is_overridden = any(
             path[: len(field)] == field[: len(path)]
             for path in self.origin.assignments
@@ -824,18 +746,9 @@ class _Filled:
         return self.origin.is_resolved and has_content and not is_overridden
 
     def winds(self, named: str) -> Iterator[tuple[tuple[str, ...], Mapping[str, Any]]]:
-        """Yield each of the tables `wind` and `wind.forecast` that names a data file.
+        """Yield path and content of each of the tables `wind`, `wind.forecast` that names a file.
 
-        Parameters
-        ----------
-        named : str
-            Field with the file's name: ``file`` (measured wind over time) or ``field`` (wind over
-            places).
-
-        Yields
-        ------
-        tuple of str, mapping
-            Path and content of the table.
+        The field `named` is ``file`` (measured wind over time) or ``field`` (wind over places).
         """
         for place in (("wind",), ("wind", "forecast")):
             wind = table_at(self.tables, *place)
@@ -843,11 +756,7 @@ class _Filled:
                 yield place, wind
 
     def add_wind_fields(self) -> None:
-        """Add the wind fields (wind over places) from data files.
-
-        `wind.field` names the file of the actual wind, and `wind.forecast.field` the file of the
-        forecast. Each of these fields may be missing.
-        """
+        """Add the wind fields (wind over places) from `wind.field` and `wind.forecast.field`."""
         for place, wind in self.winds("field"):
             if self.is_recorded(place, "field", "grid"):
                 continue
@@ -859,11 +768,7 @@ class _Filled:
             self.put_read((*place, "grid"), grid, wind["field"])
 
     def add_wind_series(self) -> None:
-        """Add the measured winds over time from the files `wind.file` and `wind.forecast.file`.
-
-        If the mission's duration is free and has no upper limit, the earliest end of a measured
-        wind becomes the limit. This end is counted from the start of the mission.
-        """
+        """Add the measured winds over time from `wind.file` and `wind.forecast.file`."""
         field, longest = _longest(self.tables)
         known: list[tuple[float, str]] = []
         for place, wind in self.winds("file"):
@@ -883,6 +788,8 @@ class _Filled:
                 self.put_read((*place, "series"), series, wind["file"])
             if series["times"] and isinstance(offset, int | float):
                 known.append((series["times"][-1] - offset, f"file {shown(wind['file'])[1:-1]}"))
+        # A free duration without upper limit must end with the first of the winds. Their ends are
+        # counted from the start of the mission.
         if field == _LONGEST and longest is None and known:
             self.put(field, *min(known))
 
@@ -900,30 +807,18 @@ class _Filled:
 
 
 def _beside(file: str, pack: str) -> str:
-    """Return the library name of a vehicle file's battery pack, or the path of the pack's file.
+    """Return the library name of a vehicle's battery pack, or the path of the pack's file.
 
-    Parameters
-    ----------
-    file : str
-        Vehicle file, relative to the folder of the scenario.
-    pack : str
-        Pack named in the vehicle file: a name of the library, or a file relative to the folder of
-        the vehicle file.
-
-    Returns
-    -------
-    str
-        For a pack of the library, its unchanged name. For a file, its path relative to the folder
-        of the scenario.
+    `pack` is relative to the folder of `file`; the path is relative to the scenario's folder.
     """
     return (FilePath(file).parent / pack).as_posix() if pack.endswith(_SUFFIX) else pack
 
 
 def _longest(tables: Mapping[str, Any]) -> tuple[tuple[str, str], object]:
-    """Return the path and the value [s] of the field that limits the duration of the mission.
+    """Return path and value [s] of the field that limits the mission's duration.
 
-    The field is `mission.duration`, or `mission.duration_max` if the duration is free. The value is
-    None if the field is missing.
+    The field is `mission.duration`, or `mission.duration_max` for a free duration. A missing value
+    is None.
     """
     is_free = value_at(tables, "mission", "duration") == FREE
     field = _LONGEST if is_free else ("mission", "duration")

@@ -168,8 +168,8 @@ class Scenario(Part):
     def with_values(self, values: Mapping[str, Any]) -> Self:
         """Return a validated copy of the scenario with some fields changed.
 
-        Limits and other values that depend on a changed field are computed again. Exception: a
-        scenario that was read from a report or a plan file keeps its limits.
+        Limits and other values that depend on a changed field are computed again. Only a scenario
+        that was read from a report or a plan file keeps its limits.
 
         Parameters
         ----------
@@ -211,8 +211,7 @@ class Scenario(Part):
         ----------
         changes : mapping
             New values, nested as in a scenario file or by dotted path. Both forms may be mixed. In
-            a table, only the fields that `changes` names are changed. A list is replaced as a
-            whole.
+            a table, fields that are not named keep their values. A list is replaced as a whole.
 
         Returns
         -------
@@ -266,9 +265,8 @@ class Scenario(Part):
     def cruising(self, settings: CruiseSettings) -> Self:
         """Return a copy of the scenario with other settings of the baseline flight `cruise`.
 
-        The flight `cruise` imitates the flight of an autopilot. A plan is compared with this
-        flight. A later call of `with_values` or `replace` on the copy may undo the change. Both
-        begin with the scenario as written in its file.
+        A later call of `with_values` or `replace` on the copy may undo the change, because both
+        start from the scenario file.
 
         Parameters
         ----------
@@ -307,8 +305,8 @@ class Scenario(Part):
         """Prescribed or estimated times of the waypoints, and the end time of the flight [s].
 
         The tuple holds arrival and departure of each waypoint, then the end time. The estimated
-        time of a leg (flight from one place to the next) is twice its least time. Then the times
-        are scaled to meet prescribed times and limits on the duration.
+        time of the flight from one place to the next is twice the least possible time. These times
+        are then scaled to meet prescribed times and limits on the duration.
         """
         vehicle, limits = self.vehicle, self.limits
         lift = limits.thrust_max / vehicle.total_mass - self.gravity
@@ -368,8 +366,7 @@ class Scenario(Part):
         """Return the scenario with the forecast in place of the actual wind.
 
         The planner uses this scenario if it must not know the actual wind. A later call of
-        `with_values` or `replace` on the copy may undo the change. Both begin with the scenario as
-        written in its file.
+        `with_values` or `replace` may undo the change, because both start from the scenario file.
 
         Returns
         -------
@@ -383,8 +380,8 @@ class Scenario(Part):
     def as_it_blows(self) -> Self:
         """Return a copy without the forecast, so that the planner uses the actual wind.
 
-        A later call of `with_values` or `replace` on the copy may undo the change. Both begin with
-        the scenario as written in its file.
+        A later call of `with_values` or `replace` on the copy may undo the change, because both
+        start from the scenario file.
         """
         return self.model_copy(update={"wind": self.wind.model_copy(update={"forecast": None})})
 
@@ -413,15 +410,8 @@ class Scenario(Part):
     def _check(self, source: str) -> None:
         """Raise an error if fields that are valid separately contradict each other.
 
-        The error message has a line for each contradiction. Each line begins with `source`, the
-        name of the scenario.
-
-        Raises
-        ------
-        ScenarioError
-            If fields contradict each other.
-        FeasibilityError
-            If the only contradiction is that the rotors cannot lift the vehicle.
+        It is a FeasibilityError if the only fault is that the rotors cannot lift the vehicle, a
+        ScenarioError otherwise.
         """
         lines = [
             *self._power_complaints(),
@@ -551,21 +541,9 @@ def _meaning(name: str) -> str:
 def _in_declared_units(
     origin: ScenarioSource, model: type[BaseModel]
 ) -> tuple[ScenarioSource, Rewritten]:
-    """Convert the values that a user has written in other units, such as degrees, to SI units.
+    """Convert values in other units, such as degrees, in tables and overrides to SI units.
 
-    Parameters
-    ----------
-    origin : ScenarioSource
-        The scenario as written: tables and overrides.
-    model : type of BaseModel
-        Pydantic class of the scenario, which declares the fields and the keys for other units.
-
-    Returns
-    -------
-    converted : ScenarioSource
-        The scenario with the converted tables and overrides.
-    record : Rewritten
-        Record of the conversions and errors. Its attribute `tables` is empty.
+    The second result records conversions and errors; its attribute `tables` is empty.
     """
     document = in_declared_units(origin.document, model)
     assignments, told = paths_in_declared_units(origin.assignments, model)

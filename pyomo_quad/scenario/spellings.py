@@ -1,12 +1,11 @@
 """Conversion of alternative notations of scenario fields, before validation.
 
-The key `from` of a wind, such as `wind.from = 270`, is the direction from which the wind blows, in
-degrees clockwise from north. The key is replaced by the field `wind.direction`, the direction
-toward which the wind blows, in radians counter-clockwise from +x (east). A wind from the west, 270
-degrees, blows toward +x.
+The key `from` of a wind is the direction from which the wind blows, in degrees clockwise from
+north. It becomes `wind.direction`, the direction toward which the wind blows, in radians
+counter-clockwise from +x (east). With `wind.from = 270`, a west wind, the wind blows toward +x.
 
-A place on earth, `{ latitude, longitude, altitude }`, is replaced by the position `[x, y, z]` in
-metres. The field `mission.origin` gives the latitude, longitude and altitude of x = y = z = 0.
+A place on earth, `{ latitude, longitude, altitude }`, becomes a position `[x, y, z]` in metres. The
+field `mission.origin` is the place of x = y = z = 0 on earth.
 """
 
 from collections.abc import Iterator, Mapping
@@ -41,19 +40,16 @@ def in_plain_terms(
 ) -> dict[str, Any]:
     """Convert places from latitude and longitude to metres, and `wind.from` to `wind.direction`.
 
-    The field `wind.direction` is the direction toward which the wind blows. The key `from` is the
-    direction from which the wind blows.
-
     Parameters
     ----------
     tables : dict
         Tables of the scenario with values of the library.
     own : mapping
-        Tables that the user wrote in the scenario and its overrides, without values of the library.
-        The function uses them to find a field that the user has given in both notations.
+        Tables that the user wrote, without values of the library. They show whether the user gave a
+        field in both notations.
     provenance : dict
-        Origin of each value by dotted path. The function adds the origins of converted fields, and
-        removes the origins of the keys `from`.
+        Origin of each value by dotted path. Origins of converted fields are added, and those of the
+        keys `from` removed.
     source : str
         Beginning of error messages: the name of the scenario.
 
@@ -89,17 +85,9 @@ def in_plain_terms(
 
 
 def _in_other_notation(tree: Any, path: FieldPath) -> Iterator[tuple[FieldPath, Any]]:  # noqa: ANN401
-    """Yield path and value of each field in an alternative notation.
+    """Yield path and value of each place by latitude and longitude, and of each wind's `from`.
 
-    Alternative notations are a place by latitude and longitude, and a wind direction by the key
-    `from`.
-
-    Parameters
-    ----------
-    tree : mapping or list
-        Table or list to search, with everything nested in it.
-    path : tuple of str and int
-        Path of `tree` in the scenario, with which every yielded path begins.
+    `path` is the path of `tree`; every yielded path begins with it.
     """
     items: Any = ()
     if isinstance(tree, Mapping):
@@ -150,7 +138,7 @@ def origin_of_mission(tables: Mapping[str, Any], source: str) -> GeodeticOrigin 
 def _count(tables: Any, path: FieldPath) -> int:  # noqa: ANN401  tables of TOML
     """Return the number of coordinates of a place in a scenario: 2 or 3.
 
-    The corner of a polygon and the centre of a vertical cylinder have x and y only.
+    A polygon's corner and a vertical cylinder's centre have x and y only.
     """
     if _CORNERS in path:
         return 2
@@ -168,17 +156,8 @@ def _refuse_both(own: Any, path: FieldPath, target: FieldPath, source: str) -> N
 def _towards(value: object, where: str) -> float:
     """Convert the direction from which a wind blows to the direction toward which it blows.
 
-    Parameters
-    ----------
-    value : object
-        Direction of origin, clockwise from north [deg], as written by the user.
-    where : str
-        Beginning of error messages: the scenario and the field.
-
-    Returns
-    -------
-    float
-        Direction of flow, counter-clockwise from +x (east) [rad].
+    `value` is clockwise from north [deg], the result counter-clockwise from +x (east) [rad]. Raises
+    a ScenarioError for an invalid value.
     """
     if not is_number(value) or not abs(value) <= _MOST_TURN:
         raise ScenarioError(

@@ -5,8 +5,8 @@ below the ground, or nowhere above it.
 
 A surface above the ground begins as the cubic spline through the heights. Its B-spline coefficients
 are then raised until, in every cell, all Bernstein coefficients of (spline minus ground) are at
-least 0. For a surface below the ground, the heights are multiplied by -1. The surface above these
-heights is computed, and multiplied by -1. Proof: see docs/theory/homing.md.
+least 0. A surface below the ground is computed with all heights multiplied by -1. Proof: see
+docs/theory/homing.md.
 """
 
 from dataclasses import dataclass
@@ -98,8 +98,8 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     Returns
     -------
     Surface
-        A cubic spline, with an upper bound on its vertical distance from the ground. If an axis has
-        fewer than four points, the grid of the result is finer along this axis.
+        A cubic spline, with an upper bound on its vertical distance from the ground. Its grid is
+        refined along an axis with fewer than four points.
     """
     x, y, ground = _with_enough_points(np.array(x), np.array(y), heights)
     knots, coefficients = _through(x, y, side * ground)
@@ -107,20 +107,10 @@ def surface_of(x: ArrayLike, y: ArrayLike, heights: FloatArray, side: int) -> Su
     of_ground = along_y.line @ (along_x.line @ (side * ground)).T
 
     def above(spline: FloatArray) -> FloatArray:
-        """Return the Bernstein coefficients of spline minus ground in each cell of the grid.
+        """Return the Bernstein coefficients [m] of (spline - side * ground) in each grid cell.
 
-        The heights of the ground are those of the enclosing function, multiplied by its `side`.
-
-        Parameters
-        ----------
-        spline : ndarray, shape (len(x), len(y))
-            B-spline coefficients of the spline [m].
-
-        Returns
-        -------
-        ndarray, shape (len(x) - 1, len(y) - 1, 4, 4)
-            Bernstein coefficients [m]. The first two array axes are the cells along x and y. The
-            last two are the coefficients of one cell along x and y.
+        The result has shape (cells along x, cells along y, 4, 4). `spline` holds the B-spline
+        coefficients, shape (len(x), len(y)) [m].
         """
         found = (along_y.cubic @ (along_x.cubic @ spline).T - of_ground).T
         return found.reshape(x.size - 1, 4, y.size - 1, 4).swapaxes(1, 2)
@@ -182,7 +172,7 @@ def highest_on_ways(x: ArrayLike, y: ArrayLike, heights: FloatArray, home: Array
 def _greatest_of_corners(values: FloatArray) -> FloatArray:
     """Return, for each cell of a grid, the greatest of the values at its four corners.
 
-    `values` are given at the grid points, shape (n, m); the result has shape (n - 1, m - 1).
+    `values` has shape (n, m), and the result (n - 1, m - 1).
     """
     along = np.maximum(values[:-1], values[1:])
     return np.maximum(along[:, :-1], along[:, 1:])
@@ -193,22 +183,11 @@ def _with_enough_points(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Refine a terrain grid with fewer than four points on an axis, without changing the ground.
 
-    A cubic spline needs four points on each axis. The added heights are interpolated linearly.
-
-    Parameters
-    ----------
-    x, y : ndarray
-        Points of the grid [m].
-    ground : ndarray, shape (len(x), len(y))
-        Heights of the ground [m].
-
-    Returns
-    -------
-    tuple of ndarray
-        The refined `x`, `y` and `ground`.
+    `x`, `y`, and `ground` with shape (len(x), len(y)), are in metres.
     """
     axes = [x, y]
     for number, axis in enumerate(axes):
+        # A cubic spline needs four points on each axis.
         if axis.size < _FEWEST_POINTS:
             fine = np.interp(np.arange(0, axis.size - 0.9, 1 / 3), np.arange(axis.size), axis)
             along = np.moveaxis(ground, number, -1)
@@ -223,19 +202,7 @@ def _through(
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Return knots and B-spline coefficients of the not-a-knot cubic spline through heights.
 
-    Parameters
-    ----------
-    x, y : ndarray
-        Coordinates of the grid points [m], at least four each.
-    heights : ndarray, shape (len(x), len(y))
-        Heights at the grid points [m].
-
-    Returns
-    -------
-    knots : tuple of two ndarray
-        Knots along x and along y [m].
-    coefficients : ndarray, shape (len(x), len(y))
-        B-spline coefficients [m].
+    Each axis has at least four points. `heights` and coefficients have shape (len(x), len(y)) [m].
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  for terrain alone
 
@@ -247,23 +214,15 @@ def _through(
 
 @dataclass(frozen=True, kw_only=True)
 class _Axis:
-    """Matrices that evaluate a spline surface and the ground along one grid axis with n points.
+    """Matrices that evaluate a spline surface and the ground along one grid axis with n points."""
 
-    Attributes
-    ----------
-    cubic : sparse matrix, shape (4 (n - 1), n)
-        Maps the n coefficients of the spline to its four Bernstein coefficients in each cell.
-    line : sparse matrix, shape (4 (n - 1), n)
-        Maps the heights of the ground at the n points to four Bernstein coefficients in each cell.
-    at_points : sparse matrix, shape (n, n)
-        Maps the coefficients of the spline to its values at the points.
-    first : ndarray of int, shape (n - 1,)
-        Index of the first of the four spline coefficients that influence each cell.
-    """
-
+    # From n spline coefficients to four Bernstein coefficients per cell, shape (4 (n - 1), n).
     cubic: Any
+    # From n heights of the ground to four Bernstein coefficients per cell, shape (4 (n - 1), n).
     line: Any
+    # From n spline coefficients to the values of the spline at the points, shape (n, n).
     at_points: Any
+    # Index of the first of four spline coefficients that influence each cell, shape (n - 1,).
     first: NDArray[intp]
 
     @classmethod
@@ -282,19 +241,9 @@ class _Axis:
         )
 
     def greatest(self, of_cells: FloatArray) -> FloatArray:
-        """Return, for each spline coefficient, the greatest value of the cells that it influences.
+        """Return, for each spline coefficient, the greatest value of the cells that depend on it.
 
-        A coefficient influences a cell if the spline in this cell depends on the coefficient.
-
-        Parameters
-        ----------
-        of_cells : ndarray, shape (n - 1, ...)
-            Value of each cell, at least 0.
-
-        Returns
-        -------
-        ndarray, shape (n, ...)
-            Greatest value for each coefficient.
+        `of_cells` has shape (n - 1, ...) and values of at least 0. The result has shape (n, ...).
         """
         found = np.zeros((of_cells.shape[0] + 1, *of_cells.shape[1:]))
         for k in range(_CUBIC + 1):

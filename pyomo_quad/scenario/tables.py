@@ -236,7 +236,7 @@ class Baseline(Part):
     def has_default_gains(self) -> bool:
         """Whether the scenario leaves the controller's gains at their default values.
 
-        If it does, the search for safety margins may replace them by faster gains.
+        The search for safety margins may replace default gains by faster ones.
         """
         return self.gains == Gains()
 

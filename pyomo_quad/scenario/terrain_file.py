@@ -52,21 +52,20 @@ def read_terrain(file: Path, place: str, origin: GeodeticOrigin | None = None) -
     place : str
         Beginning of error messages: the scenario field that names the file.
     origin : GeodeticOrigin, optional
-        Position of x = y = z = 0 on earth. With an origin, the heights in the file are altitudes
-        above the sea. Without an origin they are heights above z = 0.
+        Position of x = y = z = 0 on earth. If it is given, the heights in the file are altitudes
+        above the sea, otherwise heights above z = 0.
 
     Returns
     -------
     dict
-        Fields of the scenario's table `airspace.ground`: the coordinates `x` and `y` of the grid
-        points [m], and the `heights` of the ground above z = 0 [m]. The heights are compressed and
-        encoded as base64 text by the function `packed`.
+        Fields of the table `airspace.ground`: grid points `x` and `y` [m], and `heights` of the
+        ground above z = 0 [m], as text (see `packed`).
 
     Raises
     ------
     ScenarioError
-        If the file cannot be read, has no rectilinear grid, lacks a height, has too many heights or
-        has an implausible height. The message of the error is a single line.
+        If the file cannot be read, has no rectilinear grid, has too many heights, or has a missing
+        or implausible height. The message is a single line.
     """
     read = read_gridded(file, place, _HEIGHT)
     field = in_metres(read, origin, place)

@@ -52,8 +52,7 @@ def in_declared_units(tables: Mapping[str, Any], model: type[BaseModel]) -> Rewr
     Returns
     -------
     Rewritten
-        Tables in which the field in SI units replaces each key for another unit, with a record of
-        the conversions and the errors found.
+        Tables with all values in SI units, and a record of the conversions and errors.
     """
     rewritten = Rewritten(tables={})
     rewritten.tables.update(_table(tables, model, (), rewritten))
@@ -68,8 +67,8 @@ def paths_in_declared_units(
     Parameters
     ----------
     assignments : mapping
-        New value of each overridden field, by path. If the value is in another unit, the path ends
-        with a key such as `roll_max_deg` in place of the field `roll_max`.
+        New value of each overridden field, by path. For a value in another unit, the path ends with
+        a key such as `roll_max_deg`.
     model : type of BaseModel
         Pydantic class that declares the fields, and the keys for other units.
 

@@ -52,17 +52,11 @@ _LEAST_VOLUME = 1e-6
 def _volume(*rows: Sequence[float]) -> float:
     """Return the Gram determinant of three vectors: the squared volume that they span.
 
-    If the determinant is near zero, the rotors cannot produce independent moments about all three
-    body axes.
-
-    Parameters
-    ----------
-    *rows : sequence of float
-        Three vectors, each with one number for each rotor. The first and the second vector hold the
-        rotors' coordinates along body x and along body y, as fractions of the largest arm. The
-        third vector holds the rotors' directions of rotation, 1 or -1. The three numbers of a rotor
-        determine its moments about body y, x and z.
+    Near zero, the rotors cannot produce independent moments about all three body axes.
     """
+    # The vectors hold one number per rotor: its coordinates along body x and body y, relative to
+    # the largest arm, and its direction of rotation, 1 or -1. These determine the moments of the
+    # rotor about body y, x and z.
     (a, b, c), (_, d, e), (_, _, f) = (
         [sum(map(mul, one, other)) for other in rows] for one in rows
     )

@@ -225,9 +225,8 @@ class WindGrid(Part):
     def components(self) -> "FloatArray":
         """Wind velocity at the grid points [m/s]; NaN where the wind is missing.
 
-        The values are not yet multiplied by the factor `wind.field_scale`. The first array axis is
-        the direction (+x, +y and, if known, +z); the further array axes are the grid's axes, in the
-        order of `axes`.
+        The factor `wind.field_scale` is not applied. The first array axis is the direction (+x, +y
+        and, if known, +z). The further array axes are those of the grid, in the order of `axes`.
         """
         return unpacked(self.speeds).reshape((-1, *map(len, self.axes)))
 
@@ -235,8 +234,8 @@ class WindGrid(Part):
     def edges(self) -> dict[str, tuple[int, float, float]]:
         """Position of the grid's edges by name ("west", "east" and so on).
 
-        A position holds the axis (0 for x, 1 for y, 2 for z), the end of this axis (-1 lower,
-        1 upper) and the edge's coordinate on it [m]. The edges "bottom" and "top" exist only if the
+        A position is (axis, end, coordinate [m]). Axis 0 is x, 1 is y, and 2 is z. The end is -1 at
+        the lower and 1 at the upper end of the axis. The edges "bottom" and "top" exist only if the
         field has heights.
         """
         names = (("west", "east"), ("south", "north"), ("bottom", "top"))
@@ -255,8 +254,7 @@ class WindGrid(Part):
         places : array_like, shape (n, 3)
             Positions x, y, z [m].
         times : array_like, shape (n,) or ()
-            Times [s] on the time axis of the wind field. The flight starts at the time
-            `wind.time_offset` of this axis.
+            Times [s] as in the wind field. In these times, the flight starts at `wind.time_offset`.
 
         Returns
         -------
@@ -499,9 +497,9 @@ def with_air_density(
     tables : dict
         Tables of the scenario.
     before : mapping or None
-        Tables of the original scenario, if `tables` is a changed copy of them. The coefficients in
-        `tables` are then valid at the air density of the original scenario. None for a new
-        scenario, whose coefficients are valid at the air density at sea level.
+        Tables of the original scenario if `tables` is a changed copy of them, None for a new
+        scenario. The coefficients in `tables` are valid at the air density of the original; in a
+        new scenario, at that of sea level.
     provenance : dict
         Origin of each value by dotted path. The function changes the origins of scaled values.
 
@@ -544,8 +542,8 @@ def with_coupling(
     """Set the default of the wind's coupling, the way in which the wind acts on the vehicle.
 
     If the vehicle has drag coefficients, the wind acts through the drag. Otherwise the wind is an
-    acceleration, as printed in eq. (9) of Yacef et al. By default, a forecast has the coupling of
-    the actual wind.
+    acceleration, as printed in eq. (9) of Yacef et al. A forecast without a coupling gets
+    that of the actual wind.
 
     Parameters
     ----------

@@ -57,15 +57,14 @@ def read_wind_field(file: Path, place: str, origin: GeodeticOrigin | None = None
     Returns
     -------
     dict
-        Fields of the scenario's table `wind.grid`. The grid points are `x` and `y` [m] and, if the
-        file has them, `z` [m] and `times` [s]. The wind velocities at the grid points are `speeds`
-        [m/s], compressed and encoded as base64 text.
+        Fields of the table `wind.grid`: grid points `x`, `y` and, if the file has them, `z` [m] and
+        `times` [s], and wind velocities `speeds` [m/s], as text (see `packed`).
 
     Raises
     ------
     ScenarioError
         If the file cannot be read, or has no rectilinear grid, no wind or an implausibly strong
-        wind. The message of the error is a single line.
+        wind. The message is a single line.
     """
     axes, components, *_ = in_metres(read_gridded(file, place, _WIND), origin, place)
     check_axes(axes, place)

@@ -36,16 +36,14 @@ def read_wind_file(
     ----------
     file : Path
         CSV file with the columns `time_s`, `wind_x_m_per_s` and `wind_y_m_per_s`. A column
-        `height_m` may follow the time column or replace it. If the file has times and heights, the
-        heights must be the same at every time.
+        `height_m` may follow or replace the time column; every time must have the same heights.
     where : str
         Beginning of error messages: the scenario field that names the file.
     longest : tuple of str and object
         Dotted path and value [s] of the scenario field that limits the duration of the mission.
     time_offset : object
-        Time in the file [s] at which the mission starts. The duration and this time are as written
-        by the user. If one of them is not a number, the check that the wind covers the mission is
-        skipped; the scenario is refused later, when it is validated.
+        Time in the file [s] at which the mission starts, as written by the user. If it or the value
+        in `longest` is not a number, the check that the wind covers the mission is skipped.
 
     Returns
     -------
@@ -77,17 +75,9 @@ def read_wind_file(
 
 
 def _heights(columns: Mapping[str, tuple[float, ...]], place: str) -> tuple[float, ...]:
-    """Return the heights [m] of a measured wind, or raise an error if they are not valid.
+    """Return the heights [m] of a measured wind, which must rise and be the same at every time.
 
-    The heights must rise and must be the same at every time.
-
-    Parameters
-    ----------
-    columns : mapping
-        Columns of the wind file, by name.
-    place : str
-        Beginning of error messages: the scenario field that names the wind file, and the name of
-        the file.
+    Raises a ScenarioError, which begins with `place`, if the heights are not valid.
     """
     every = columns[HEIGHT_COLUMN]
     times = columns.get(_TIME_COLUMN, (0.0,) * len(every))
@@ -154,22 +144,9 @@ def check_cover(
 
 
 def _read_rows(file: Path, place: str) -> tuple[tuple[str, ...], _Rows]:
-    """Read the columns and rows of a CSV file of measured wind.
+    """Read a CSV file of measured wind: names of the columns before the wind, and all rows.
 
-    Parameters
-    ----------
-    file : Path
-        The CSV file.
-    place : str
-        Beginning of error messages: the scenario field that names the wind file, and the name of
-        the file.
-
-    Returns
-    -------
-    keys : tuple of str
-        Names of the columns before the wind velocities: time, height or both.
-    rows : list of tuple of float
-        Numbers of each row, in the order of the file's columns.
+    Raises a ScenarioError, which begins with `place`, if the file is not valid.
     """
     try:
         if file.stat().st_size > _LARGEST_FILE_BYTES:

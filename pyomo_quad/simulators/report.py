@@ -28,8 +28,8 @@ _CAUSES_ABREAST = 3
 def draw_causes(study: OutsideStudy) -> "Figure":
     """Draw the distance of simulated flights from their plan over time, without and with feedback.
 
-    Each line is one flight in RotorPy. Most lines show the effect of one feature in which RotorPy's
-    model differs from the package's model (see `CAUSES`).
+    Each line is one flight in RotorPy, named by the cause of its distance (see `CAUSES`), such as a
+    difference between RotorPy's model and the package's model.
 
     Parameters
     ----------

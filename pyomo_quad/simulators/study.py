@@ -1,11 +1,11 @@
 """Study of missions flown in the simulator RotorPy, and of the causes of differences.
 
-The plans of the missions are flown in two simulation models: the package's own (the "declared"
-vehicle) and RotorPy's. In both models there are flights under the package's controller and flights
-without feedback. In RotorPy's model there are also flights under RotorPy's controller SE3.
+Each mission is flown in two simulation models: the package's own (the "declared" vehicle) and
+RotorPy's. In both models there are flights under the package's controller and flights without
+feedback. RotorPy's model also has flights under its controller SE3.
 
-RotorPy's model differs in several features; its rotors, for example, have no gyroscopic moment.
-Each feature is changed alone, to find its part in the difference between the flights.
+RotorPy's model differs in several features, such as rotors without gyroscopic moment. Each feature
+is changed alone, to find its part in the difference between the flights.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -84,10 +84,10 @@ Track = tuple[np.ndarray, np.ndarray]
 class Plant(StrEnum):
     """Simulated vehicle of a flight: the package's own model, or a variant of RotorPy's model.
 
-    `ROTORPY` is RotorPy's simulation with the equations of the package's model (`DECLARED`). Two
-    parts differ: its attitude equations are always exact, and its linear drag acts at the rotors.
-    `AS_IT_COMES` has RotorPy's defaults. Each other member differs from `ROTORPY` in the feature
-    that its value names.
+    `DECLARED` is the package's model, `AS_IT_COMES` RotorPy with its defaults. `ROTORPY` is
+    RotorPy, set to the equations of `DECLARED` except for two: its attitude equations are always
+    exact, and its linear drag acts at the rotors. Each other member differs from `ROTORPY` in the
+    feature that its value names.
     """
 
     DECLARED = "declared"
@@ -284,17 +284,7 @@ class Flown(NamedTuple):
 class _Mission:
     """Planned mission of the comparison with RotorPy, with methods that describe its flights.
 
-    Attributes
-    ----------
-    case : str
-        Name of the mission: a key of the mapping of missions `CASES`, or the name of a parameter
-        set of RotorPy.
-    scenario : Scenario
-        The mission, with vehicle and wind.
-    planner : Planner
-        Planner that supplies the compiled models.
-    plan : Plan
-        Minimum-energy plan of the mission.
+    `case` is a key of the mapping of missions `CASES`, or the name of a parameter set of RotorPy.
     """
 
     case: str
@@ -309,17 +299,7 @@ class _Mission:
     def declared(self, pilot: Pilot, followed: Reference = Reference.PLAN) -> Flown:
         """Describe a flight of the package's own ("declared") vehicle model, to be simulated later.
 
-        Parameters
-        ----------
-        pilot : Pilot
-            The adaptive controller, or `OPEN_LOOP` for the plan's controls without feedback.
-        followed : Reference, optional
-            Reference trajectory that the controller follows; by default the plan.
-
-        Returns
-        -------
-        Flown
-            Description of the flight, with the function that simulates the flight.
+        `pilot` is the adaptive controller, or `OPEN_LOOP` for the plan's controls without feedback.
         """
         fly: Callable[[], Flight] = partial(
             fly_baseline, self.scenario, followed, dynamics=self.dynamics, plan=self.plan
@@ -337,21 +317,7 @@ class _Mission:
     ) -> Flown:
         """Describe a flight in RotorPy under a given controller, to be simulated later.
 
-        Parameters
-        ----------
-        at : Plant
-            Name of the simulated vehicle in the result table.
-        plant : OutsidePlant
-            The simulated vehicle itself: RotorPy with the vehicle's parameters.
-        pilot : Pilot
-            Controller, or `OPEN_LOOP` for the plan's controls without feedback.
-        followed : Reference, optional
-            Reference trajectory that the controller follows; by default the plan.
-
-        Returns
-        -------
-        Flown
-            Description of the flight, with the function that simulates the flight.
+        `at` is the name of the vehicle `plant` in the result table.
         """
         return Flown(at, pilot, followed, partial(fly_outside, plant, pilot, followed, self.plan))
 
@@ -366,25 +332,7 @@ class _Mission:
     ) -> Flown:
         """Describe a flight in RotorPy under a variant of its controller SE3, for later simulation.
 
-        Parameters
-        ----------
-        at : Plant
-            Name of the simulated vehicle in the result table.
-        plant : OutsidePlant
-            The simulated vehicle itself: RotorPy with the vehicle's parameters.
-        name : str
-            Name of the variant in the result table.
-        path : ReferencePath
-            Trajectory that the controller follows, as a function of time.
-        followed : Reference
-            Kind of this trajectory, such as the plan, as stated in the result table.
-        stiffness : float, optional
-            Factor on the controller's gains.
-
-        Returns
-        -------
-        Flown
-            Description of the flight, with the function that simulates the flight.
+        `name` is the variant's name in the result table. `stiffness` is a factor on its gains.
         """
         law = se3_law(plant, path, stiffness=stiffness)
         return Flown(at, name, followed, partial(fly_under, plant, name, law, self.plan))
@@ -433,10 +381,7 @@ def run_outside_study(planner: Planner | None = None) -> OutsideStudy:
 
 
 def _track(flight: Flight, plan: Plan) -> Track:
-    """Return how far a flight is from its plan over time, at fewer than 500 times.
-
-    The result is two arrays: times [s], and distances [m] from the planned position at each time.
-    """
+    """Return fewer than 500 times of a flight [s], and its distances from the plan at these [m]."""
     step = max(1, len(flight.frame) // _MOST_SAMPLES)
     shown = flight.frame.iloc[::step]
     t = shown[TIME].to_numpy()
@@ -449,15 +394,8 @@ def _track(flight: Flight, plan: Plan) -> Track:
 def _small(paper: Scenario, name: str) -> Scenario:
     """Return a short mission of a small vehicle of RotorPy, to be planned for least shaft energy.
 
-    The attitude equations are exact, and the tolerance of the solver is 1e-3. All other settings
-    that do not belong to the vehicle or to this mission are those of `paper`.
-
-    Parameters
-    ----------
-    paper : Scenario
-        Mission of Yacef et al.
-    name : str
-        Name of RotorPy's parameter set with the values of the vehicle.
+    `name` is RotorPy's parameter set. `paper`, the mission of Yacef et al., gives all other
+    settings.
     """
     said = {
         path.replace("fields.", "vehicle.", 1): value
@@ -489,15 +427,8 @@ def _flights(mission: _Mission) -> Iterator[Flown]:
 def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights whose commanded position jumps from start to goal.
 
-    RotorPy's vehicle flies with and without the scenario's limit on the rotor acceleration. The
-    flights show the effect of this limit.
-
-    Parameters
-    ----------
-    mission : _Mission
-        Mission of all flights.
-    limited : OutsidePlant
-        RotorPy's vehicle with the limit on the absolute rotor acceleration.
+    The vehicle `limited` has the scenario's limit on the rotor acceleration. The flights without
+    this limit show its effect.
     """
     unlimited = OutsidePlant(mission.scenario.with_values(_NO_SLEW_LIMIT), mission.dynamics)
     yield mission.declared(Pilot.ADAPTIVE, Reference.STEP)
@@ -509,8 +440,7 @@ def _leaps(mission: _Mission, limited: OutsidePlant) -> Iterator[Flown]:
 def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
     """Yield descriptions of flights that show why RotorPy's controller SE3 misses the goal in wind.
 
-    In some flights the controller has larger gains. In another it has a feedforward of the
-    aerodynamic force.
+    The controller has larger gains, or a feedforward of the aerodynamic force.
     """
     for followed in (Reference.QUINTIC, Reference.PLAN):
         path = mission.path(followed)
@@ -523,21 +453,15 @@ def _why_se3_misses(mission: _Mission, plant: OutsidePlant) -> Iterator[Flown]:
 def _against_the_air(path: ReferencePath, plant: OutsidePlant) -> ReferencePath:
     """Return a reference path with a feedforward of the aerodynamic force on the vehicle.
 
-    The acceleration is a - F / m, where a is that of `path`, m the mass, and F the force on the
-    level vehicle at the velocity of `path`. The rates of roll and pitch (`tilting`) are left out.
-
-    Parameters
-    ----------
-    path : callable
-        Reference position, velocity and acceleration as a function of time.
-    plant : OutsidePlant
-        Vehicle whose equations give the aerodynamic force.
+    Its acceleration is a - F / m: a is that of `path`, m the mass, F the force on the level
+    vehicle.
     """
     dynamics, mass = plant.dynamics, plant.scenario.vehicle.total_mass
     moving = [dynamics.state_names.index(name) for name in (*POSITION_STATES, *VELOCITY_STATES)]
     forces = tuple((name, None) for name in AIR_FORCE)
 
     def told(t: float) -> Setpoint:
+        # The rates of roll and pitch (`tilting`) of `path` are left out.
         place, rate, acceleration, _ = path(t)
         level = start_state(plant.scenario, dynamics)
         level[moving] = *place[:3], *rate[:3]
@@ -577,7 +501,7 @@ def _flights_of_set(mission: _Mission) -> Iterator[Flown]:
 def _flights_by_drag(mission: _Mission) -> Iterator[Flown]:
     """Yield descriptions of flights that show the effect of the point at which drag acts.
 
-    In RotorPy the drag acts at the rotors, in the declared vehicle at the centre of mass.
+    In RotorPy drag acts at the rotors, in the declared vehicle at the centre of mass.
     """
     plant = OutsidePlant(mission.scenario, mission.dynamics)
     for pilot in (Pilot.OPEN_LOOP, Pilot.ADAPTIVE):
@@ -593,26 +517,10 @@ _FLIGHTS_OF = dict.fromkeys((LONGER, WINDIER), _flights_by_drag) | dict.fromkeys
 def _rows(
     case: str, flights: Iterator[Flown]
 ) -> Iterator[tuple[dict[str, Any], Flown, Flight | None]]:
-    """Simulate flights, and yield the table row of each flight.
+    """Simulate flights; yield each flight's table row, its description, and the flight itself.
 
-    Each flight is compared with a flight of the declared vehicle along the same reference, which
-    must come earlier in `flights`. If there is none under the same controller, the one under the
-    adaptive controller is taken.
-
-    Parameters
-    ----------
-    case : str
-        Name of the mission: a key of the mapping of missions `CASES`, or the name of a parameter
-        set of RotorPy.
-    flights : iterator of Flown
-        Descriptions of the flights to simulate, in order.
-
-    Yields
-    ------
-    dict, Flown, Flight or None
-        Values by column name, the description of the flight, and the simulated flight. The
-        simulated flight is None if the flight went out of control. The values contain the
-        difference in energy in percent, and the distance between the two final positions.
+    The flight is None if it went out of control. The row contains differences from the declared
+    vehicle's flight, which must come earlier.
     """
     declared: dict[tuple[str, Reference], Flight] = {}
     for flown in flights:
@@ -627,6 +535,7 @@ def _rows(
         # A declared flight is compared with itself: its differences are 0.
         if flown.plant is Plant.DECLARED:
             declared[key] = flight
+        # Without a declared flight under the same controller, compare with the adaptive one.
         ours = declared.get(key) or declared.get((Pilot.ADAPTIVE, flown.followed))
         row |= {
             OutsideColumn.ENERGY: flight.energy_J,

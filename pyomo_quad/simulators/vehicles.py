@@ -2,8 +2,8 @@
 
 In RotorPy the rotors are placed diagonally, two ahead and two behind. In the package they are on
 the body axes x and y. The parameters are therefore converted to body axes that are turned by 45
-degrees, in which the first rotor is ahead and the fourth to the left. If the moments of inertia Ixx
-and Iyy differ, the turn creates a product of inertia of half their difference, which is neglected.
+degrees. In these, the first rotor is ahead and the fourth to the left. If the moments of inertia
+Ixx and Iyy differ, a product of inertia of half their difference arises, which is neglected.
 """
 
 from math import hypot

@@ -1,9 +1,9 @@
 """Least energy compared with least charge: the same mission solved for each of the two objectives.
 
 The energy is measured at the terminals of the battery. The charge also pays for the loss in the
-internal resistance. At equal mean power, this loss is greater if the power varies. The two
-objectives may therefore have different optima. The field `mission.aim` selects the objective of a
-plan.
+internal resistance. A varying power causes more loss than a constant power of the same mean. The
+two objectives may therefore have different optima. The field `mission.aim` selects the objective of
+a plan.
 """
 
 from typing import TYPE_CHECKING
@@ -58,8 +58,8 @@ def energy_and_charge(
 ) -> "pd.DataFrame":
     """Return energy and charge of a plan and of the plan for the other objective.
 
-    The other plan is solved from the given one, on its mesh, within 90 seconds of processor time,
-    and checked by a simulation.
+    The solve for the other plan starts from the given plan, keeps its mesh, and stops after 90
+    seconds of processor time.
 
     Parameters
     ----------
@@ -102,14 +102,15 @@ def energy_and_charge(
 
 
 def _is_better(found: Plan, plan: Plan) -> bool:
-    """Return whether `found`, solved for another aim than `plan`, is at least as good in its aim.
+    """Return whether `found` is at least as good as `plan` in the objective of `found`.
 
-    The objective of least charge is the charge times a voltage that is the same for both plans,
-    plus the price of the duration; see docs/theory/battery.md, eq. (12).
+    The objectives of the two plans differ.
     """
     price = found.scenario.mission.price_of_time
     if found.scenario.mission.aim is Aim.ENERGY or found.solution is None:
         return found.cost <= (1.0 + ALIKE) * plan.cost
+    # The objective of least charge is the charge times a voltage, plus the price of the duration.
+    # The voltage (`worth`) is the same for both plans; see docs/theory/battery.md, eq. (12).
     objective = found.solution.objective
     worth = (objective - price * found.duration_s) / charge_drawn(found)
     return objective <= (1.0 + ALIKE) * (worth * charge_drawn(plan) + price * plan.duration_s)

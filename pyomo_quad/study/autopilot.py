@@ -1,12 +1,10 @@
 """Autopilot baseline on straight legs: its simulated flight, and tuning of its settings.
 
-A leg is the straight line between two waypoints. An autopilot flies the legs at one speed, with one
-limit on acceleration and one on jerk. The module `flight.routes` computes this motion.
+A leg is the straight line between two waypoints. An autopilot flies all legs with the same limits
+on speed, acceleration and jerk: its settings. The module `flight.routes` computes this motion.
 
-The energy saving of a plan is measured against an autopilot. For a fair comparison, its three
-settings, equal on all legs, are tuned for least energy by Nelder and Mead's method. Each flight of
-the search is simulated under the controller. A flight that breaks a limit of the vehicle or misses
-the goal is penalised.
+The energy saving of a plan is measured against an autopilot. For a fair comparison, its settings
+are tuned for least energy by Nelder and Mead's method.
 """
 
 from dataclasses import dataclass, replace
@@ -85,10 +83,9 @@ _CONFIRMED = 4
 class TriedCruise:
     """Autopilot settings that a tuning tried, with the results of the simulated flight.
 
-    The flight is simulated at reduced accuracy. It has arrived if it ends near the goal and nearly
-    at rest. Without arrival, `duration_s` is the whole simulated time. `reached` holds values of
-    the reference trajectory. `energy_J` lacks the energy to the exact goal state if the flight does
-    not arrive, no plan is given, or the scenario has a wind forecast.
+    The flight is simulated at reduced accuracy. If the vehicle does not arrive, `duration_s` is the
+    whole simulated time. `energy_J` is then the energy of this time alone. The energy to the exact
+    goal state is also missing without a plan or with a wind forecast.
     """
 
     settings: CruiseSettings
@@ -117,9 +114,9 @@ class Tuning:
     flight : Flight
         Flight with the best settings, to full accuracy.
     settings : CruiseSettings
-        The best settings: limits on speed, acceleration and jerk. On short legs, the reference
-        trajectory may stay below the limit on speed or acceleration. The attribute then holds the
-        largest value that the trajectory reaches, which gives the same flight.
+        The best settings: limits on speed, acceleration and jerk. If the legs are too short to
+        reach the limit on speed or acceleration, the largest value that the flight reaches replaces
+        the limit.
     tried : tuple of TriedCruise
         All settings that the search tried, in the order tried.
     """
@@ -136,7 +133,7 @@ def fly_cruise(
 
     After the end of the reference trajectory, the vehicle hovers at the goal until it has arrived,
     for at most `SETTLINGS_S[-1]` seconds. If the mission has a fixed duration, the flight lasts at
-    least as long.
+    least for this duration.
 
     Parameters
     ----------
@@ -145,9 +142,8 @@ def fly_cruise(
     settings : CruiseSettings
         Limits on speed, acceleration and jerk.
     plan : Plan or None
-        Plan of the mission. Its costates (sensitivities of the energy to the state) give an
-        estimate of the energy from the end of the flight to the exact goal state. None for no
-        estimate.
+        Plan whose costates give an estimate of the energy from the end of the flight to the exact
+        goal state; None for no estimate.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
@@ -175,25 +171,7 @@ def _with_longest_wait(
 ) -> tuple[Scenario, Dynamics]:
     """Return mission and dynamics of an autopilot's flight with the longest wait at the goal.
 
-    The wait is `SETTLINGS_S[-1]` [s]. Callers end the simulated flight when the vehicle has
-    arrived.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    settings : CruiseSettings
-        The autopilot's limits on speed, acceleration and jerk.
-    planner : Planner
-        Holds the compiled equations.
-
-    Returns
-    -------
-    Scenario
-        The mission with a fixed duration, which includes the wait, and with the times at which
-        the autopilot passes the waypoints.
-    Dynamics
-        Dynamics of the vehicle in this mission.
+    The mission has a fixed duration, which includes the wait of `SETTLINGS_S[-1]` seconds.
     """
     told = cruise_at(
         scenario.cruising(settings), settling_s=SETTLINGS_S[-1], least_s=_least(scenario)
@@ -208,20 +186,8 @@ def _least(scenario: Scenario) -> float:
 def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: Dynamics) -> float:
     """Return the earliest time at which a simulated flight of an autopilot can end [s].
 
-    The vehicle has arrived at this time, and the reference trajectory is over. If the mission has a
-    fixed duration, this is over too. If the vehicle never arrives, the result is the last time in
+    The vehicle has arrived at this time. If it never arrives, the result is the last time in
     `flown`.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    settings : CruiseSettings
-        The autopilot's limits on speed, acceleration and jerk.
-    flown : Flown
-        The flight, simulated with a long wait at the goal.
-    dynamics : Dynamics
-        Dynamics with the names of the states in `flown`.
     """
     moving = cruise_at(scenario.cruising(settings)).mission.fixed_duration
     places, velocities = (
@@ -231,6 +197,7 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
     miss = np.linalg.norm(places - scenario.mission.goal.position, axis=1)
     speed = np.linalg.norm(velocities, axis=1)
     arrived = (miss <= _WITHIN * ARRIVAL_DISTANCE_M) & (speed <= _WITHIN * ARRIVAL_SPEED_M_PER_S)
+    # Not before the end of the reference trajectory or of a fixed duration of the mission.
     first = max(moving, _least(scenario))
     nearest = int(np.argmin(np.abs(flown.t - first)))
     if arrived[nearest]:
@@ -242,17 +209,16 @@ def _end(scenario: Scenario, settings: CruiseSettings, flown: Flown, dynamics: D
 def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuning:
     """Tune speed, acceleration and jerk of an autopilot for least energy, and fly the result.
 
-    The search simulates at reduced accuracy. Of its four best settings, the result is the first
-    that arrives within the limits at full accuracy.
+    The search simulates at reduced accuracy. Its four best settings are flown at full accuracy,
+    best first. The result is the first of these flights that arrives within the limits.
 
     Parameters
     ----------
     scenario : Scenario
         The mission. Flights are simulated in its actual wind, not in a forecast.
     plan : Plan or None
-        Plan of the mission. Its costates (sensitivities of the energy to the state) give an
-        estimate of the energy from the end of each flight to the exact goal state. None for no
-        estimate.
+        Plan whose costates give an estimate of the energy from the end of each flight to the exact
+        goal state; None for no estimate.
     planner : Planner
         Holds the compiled equations of the vehicle.
 
@@ -285,24 +251,7 @@ def tune_cruise(scenario: Scenario, plan: Plan | None, planner: Planner) -> Tuni
 
 
 def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[TriedCruise, ...]:
-    """Search for the autopilot settings of least energy by Nelder and Mead's method.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission. Flights are simulated in its actual wind, not in a forecast.
-    plan : Plan or None
-        Plan of the mission. Its costates (sensitivities of the energy to the state) give an
-        estimate of the energy from the end of each flight to the exact goal state. None for no
-        estimate.
-    planner : Planner
-        Holds the compiled equations.
-
-    Returns
-    -------
-    tuple of TriedCruise
-        All settings that the search tried, in order, with the results of their simulated flights.
-    """
+    """Return all settings, in order, that Nelder and Mead's search for least energy tried."""
     fly = partial(_tried, scenario, plan=plan, planner=planner)
     tried: dict[tuple[float, ...], TriedCruise] = {}
     bounds = np.log(_RANGES)
@@ -337,17 +286,10 @@ def _search(scenario: Scenario, plan: Plan | None, planner: Planner) -> tuple[Tr
 def _start_of_search(
     scenario: Scenario, planner: Planner
 ) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return the initial simplex of the search for an autopilot's settings, as two triples.
+    """Return the first vertex of the search's simplex, and the factors that give the others.
 
-    The simplex has four vertices. The first is `settings`. Each other vertex differs from it in one
-    setting, which is multiplied by its factor.
-
-    Returns
-    -------
-    settings : tuple of float
-        Speed [m/s], acceleration [m/s^2] and jerk [m/s^3] of the first vertex.
-    factors : tuple of float
-        Factors on speed, acceleration and jerk.
+    Both are triples for speed [m/s], acceleration [m/s^2] and jerk [m/s^3]. Each other vertex
+    multiplies one setting by its factor.
     """
     places = np.array(scenario.mission.positions)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)

@@ -4,8 +4,8 @@ On one charge, each flight starts with the state of charge, relaxation voltage a
 the battery has at the end of the flight before it. The battery neither rests between flights nor
 ages.
 
-The flights on one charge end when the next flight has no plan. Examples of the reason: the flight
-would leave less charge than the reserve, or the voltage would fall below its limit.
+The flights on one charge end when the next flight has no plan. For example, the flight would leave
+less charge than the reserve, or the voltage would fall below its limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -158,8 +158,7 @@ def fly_campaign(
     ------
     ScenarioError
         If the missions have different batteries, or if a mission takes its equations from a user's
-        own Python function (scenario field `model`). A campaign needs the state of charge of the
-        scenario's battery, and a user's function may lack it.
+        own Python function (scenario field `model`).
     """
     _refuse_other_packs(missions)
     turns = cycle(range(len(missions)))
@@ -207,14 +206,7 @@ def _refuse_other_packs(missions: Sequence[Scenario]) -> None:
 def _planned(present: Scenario, last: Plan | None, planner: Planner) -> Plan | str:
     """Return the plan of a campaign's next flight, or the reason in words if there is none.
 
-    Parameters
-    ----------
-    present : Scenario
-        The mission, with the present state of the battery.
-    last : Plan or None
-        Previous plan of this mission, used as the initial guess; None for its first flight.
-    planner : Planner
-        Solves the mission.
+    `present` has the present state of the battery. `last` is the mission's previous plan.
     """
     if last is not None:
         before = last.scenario.battery.initial_state_of_charge
@@ -254,22 +246,7 @@ def _flight(charge: int, number: int, plan: Plan) -> CampaignFlight:
 def _obstacle(present: Scenario, last: Plan | None, planner: Planner) -> str:
     """Return the limits that a mission's previous plan would break on the remaining charge.
 
-    The broken limits explain why the campaign has no further flight. The plan's controls are
-    simulated from the battery's present state.
-
-    Parameters
-    ----------
-    present : Scenario
-        The mission, with the present state of the battery.
-    last : Plan or None
-        Previous plan of this mission; None if there is no previous plan.
-    planner : Planner
-        Holds the compiled equations for the simulation.
-
-    Returns
-    -------
-    str
-        Limits in words, separated by commas. Empty if no limit is broken or `last` is None.
+    The result is text, empty if no limit is broken or `last` is None.
     """
     return "" if last is None else ", ".join(_broken(present, last, planner))
 

@@ -60,10 +60,9 @@ class ThrustMoments:
     widths : ndarray, shape (n,)
         Weights of the n nodes of a Gauss quadrature over the flight, s.
     weights : ndarray, shape (2, n, 3)
-        Dimensionless weights of the thrust in the first and the second integral, at the nodes,
-        along each axis. The first weight is 1. The second is (k(t) - mean of k over the flight) /
-        duration, with k(t) from docs/theory/bound.md, eq. (3): if the velocity along the axis
-        increases by dv at the time t, the end of the flight moves by k(t) dv.
+        Dimensionless weights of the thrust in both integrals, at the nodes, along each axis. The
+        first weight is 1. The second is (k(t) - mean of k over the flight) / duration, with k(t)
+        [s] from docs/theory/bound.md, eq. (3).
     demanded : ndarray, shape (2, 3)
         Values of the first and the second integral that the mission requires, along each axis, N s.
     mean_thrust : ndarray, shape (3,)
@@ -162,8 +161,7 @@ class ThrustMoments:
 def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
     """Return nodes [s] and weights [s] of Gauss-Legendre quadrature over the duration of a flight.
 
-    The duration [s] is divided into `panels` equal intervals, each with `_GAUSS_NODES` nodes. Both
-    results have the shape (panels * `_GAUSS_NODES`,).
+    Each of the `panels` equal intervals has `_GAUSS_NODES` nodes.
     """
     nodes, widths = np.polynomial.legendre.leggauss(_GAUSS_NODES)
     panel = duration / panels
@@ -173,30 +171,13 @@ def _gauss(duration: float, panels: int) -> tuple[FloatArray, FloatArray]:
 
 
 def _weights(times: FloatArray, rate: FloatArray, duration: float) -> tuple[FloatArray, FloatArray]:
-    """Return the weights of the two weighted integrals of the thrust, at given times.
+    """Return the weights of the two integrals of the thrust at n times, each of shape (n, 3).
 
-    Each integral has the same value for every flight that meets the boundary conditions.
-
-    Parameters
-    ----------
-    times : ndarray, shape (n,)
-        Times from the start of the flight, s.
-    rate : ndarray, shape (3,)
-        Drag coefficient over mass along each axis, 1/s.
-    duration : float
-        Duration of the flight, s.
-
-    Returns
-    -------
-    plain : ndarray, shape (n, 3)
-        Weight of the first integral: 1 along each axis. The momentum balance gives the value of the
-        integral (docs/theory/bound.md, eq. (2)).
-    lever : ndarray, shape (n, 3)
-        Weight of the second integral along each axis, s. An increase of the velocity by dv at the
-        time t moves the end of the flight by k(t) dv, where k(t) is this weight. The displacement
-        from start to goal gives the value of the integral (eqs. (3) and (4)).
+    The first weight is 1, the second k(t) [s] from docs/theory/bound.md, eq. (3). `rate` is the
+    drag coefficient over mass [1/s].
     """
     left = (duration - times)[:, None] * np.ones_like(rate)
+    # An increase of the velocity by dv at the time t shifts the final position by k(t) dv.
     has_drag = rate > 0.0
     divisor = np.where(has_drag, rate, 1.0)
     return np.ones_like(left), np.where(has_drag, -np.expm1(-left * rate) / divisor, left)
@@ -207,25 +188,8 @@ def _standing_moments(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the two weighted integrals of the thrust that keeps the vehicle at rest.
 
-    The integrals are the terms with S on the right-hand sides of docs/theory/bound.md, eqs. (2) and
-    (4).
-
-    Parameters
-    ----------
-    demand : MomentumDemand
-        Thrust that the momentum balance requires for a motion.
-    rate : ndarray, shape (3,)
-        Drag coefficient over mass along each axis, 1/s.
-    duration : float
-        Duration of the flight, s.
-
-    Returns
-    -------
-    plain : ndarray, shape (3,)
-        Integral with the weight 1 along each axis, N s.
-    levered : ndarray, shape (3,)
-        Integral with the weight k(t) along each axis, N s^2. k(t) is the weight `lever` of the
-        function `_weights` (eq. (3)).
+    They are the terms with S in docs/theory/bound.md, eqs. (2) [N s] and (4) [N s^2]. `rate` is the
+    drag coefficient over mass [1/s].
     """
     previous = np.full((2, 3), np.nan)
     for panels in _PANEL_COUNTS:
@@ -346,7 +310,7 @@ def certify(scenario: Scenario, *, planner: Planner | None = None) -> Certificat
 def _bound(scenario: Scenario, planner: Planner) -> _Found:
     """Return the largest known lower bound on the energy of a mission [J], and its basis in words.
 
-    If no bound is known, the first result is None and the text is the reason.
+    If no bound is known, the result is None and the reason.
     """
     reason = next(_obstacles(scenario), "")
     if reason:
@@ -369,17 +333,9 @@ def _bound(scenario: Scenario, planner: Planner) -> _Found:
 
 
 def _why_not_by_legs(scenario: Scenario, demand: MomentumDemand) -> str:
-    """Return the reason why `_bound_by_legs` gives no bound for a mission, as part of a sentence.
+    """Return why `_bound_by_legs` gives no bound, such as "in a wind that changes with time".
 
-    An example is "in a wind that changes with time". The result is empty if that function gives a
-    bound.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    demand : MomentumDemand
-        Thrust that the momentum balance requires for a motion.
+    The result is empty if that function gives a bound.
     """
     times = np.linspace(0.0, scenario.nominal_duration, _STANDING_SAMPLES)
     standing = np.array([demand.thrust(float(t)) for t in times])
@@ -397,25 +353,8 @@ def _bound_as_a_whole(
 ) -> _Found:
     """Return a lower bound on the energy of flights of fixed duration, without the waypoints.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    demand : MomentumDemand
-        Thrust that the momentum balance requires for a motion.
-    power : _SteadyPower
-        Total power as a function of the total thrust, all rotors at one constant speed.
-    why_not_by_legs : str
-        Reason why the function `_bound_by_legs` gives no bound, from `_why_not_by_legs`. The
-        returned text contains this reason if the mission has waypoints, a free duration, or a mass
-        that changes in flight.
-
-    Returns
-    -------
-    float or None
-        Lower bound [J]; None if it is unknown.
-    str
-        Basis of the bound, or the reason why there is none.
+    `why_not_by_legs` is part of the text if the mission has waypoints, a free duration or a
+    release.
     """
     mission = scenario.mission
     if mission.released > 0.0:
@@ -442,27 +381,9 @@ def _bound_as_a_whole(
 def _bound_by_legs(
     scenario: Scenario, planner: Planner, demand: MomentumDemand, power: _SteadyPower
 ) -> _Found:
-    """Return a lower bound on the energy of flights through the waypoints, for all passing times.
+    """Return a lower bound on the energy of flights through the waypoints, for all allowed times.
 
-    The bound also holds for all allowed durations. Power and drag must not depend on the airspeed.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    planner : Planner
-        Holds the compiled equations.
-    demand : MomentumDemand
-        Thrust that the momentum balance requires for a motion.
-    power : _SteadyPower
-        Total power as a function of the total thrust, all rotors at one constant speed.
-
-    Returns
-    -------
-    float or None
-        Lower bound [J]; None if it is unknown.
-    str
-        Basis of the bound, or the reason why there is none.
+    Power and drag must not depend on the airspeed.
     """
     mission = scenario.mission
     standing = demand.thrust(0.0)
@@ -493,7 +414,7 @@ def _bound_by_legs(
 def _energy_returned(scenario: Scenario, planner: Planner) -> float:
     """Return the energy that the rotors give back as they slow down after a payload release [J].
 
-    The lower bound on the energy is reduced by this energy: docs/theory/bound.md, eq. (7).
+    The lower bound is reduced by this energy: docs/theory/bound.md, eq. (7).
     """
     if not scenario.mission.released:
         return 0.0
@@ -506,17 +427,7 @@ def _energy_returned(scenario: Scenario, planner: Planner) -> float:
 
 
 def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand) -> _Found:
-    """Return a lower bound on the energy of flights if power or drag depends on the airspeed.
-
-    For some missions in a wind field, the bound of `_bound_of_places` is larger, and is returned.
-
-    Returns
-    -------
-    float or None
-        Lower bound [J]; None if it is unknown.
-    str
-        Basis of the bound, or the reason why there is none.
-    """
+    """Return a lower bound on the energy of flights if power or drag depends on the airspeed."""
     mission, dynamics = scenario.mission, planner.dynamics(scenario)
     if scenario.power.model is PowerModel.MOTOR_WITH_FRICTION:
         return (
@@ -554,6 +465,7 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
             winds,
             steady.hover_power,
         )
+        # In some wind fields, the bound that counts the wind of each place is larger.
         if by_places > found:
             found = by_places
             of_field = ", and over all winds that occur in each cell of the field,"
@@ -566,20 +478,8 @@ def _bound_by_pairs(scenario: Scenario, planner: Planner, demand: MomentumDemand
 def _basis_of_pairs(scenario: Scenario, counted: Scenario, legs: int, of_field: str) -> str:
     """Return the sentence that explains the basis of the bound from `_bound_by_pairs`.
 
-    That bound follows from the least power over all pairs of thrust and airspeed.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    counted : Scenario
-        The mission for which the bound was computed. It is `scenario` itself if the order of the
-        waypoints is given. If the order is free, it is a copy of `scenario` without waypoints, and
-        the returned text says so.
-    legs : int
-        Number of legs, flights from one waypoint to the next, in `counted`.
-    of_field : str
-        Clause that says which winds of a wind field the bound includes; "" without a field.
+    `counted` is the mission of the bound: a copy of `scenario` without waypoints if their order is
+    free. `of_field` says which winds the bound includes.
     """
     of_legs = f" on each of {legs} legs" if counted.mission.waypoints else ""
     left_out = (
@@ -604,20 +504,8 @@ def _bound_of_places(
 ) -> float:
     """Return a lower bound on the energy of any flight through a wind field [J].
 
-    The bound is minus infinity if none was found. `_has_places` must be true for the mission. See
+    `_has_places` must be true. The result is minus infinity if no bound was found. See
     docs/theory/bound.md, eq. (25).
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, without waypoints and with a wind field.
-    pairs_in : callable
-        Takes the corners of a polyhedron of winds [m/s], shape (n, 3), and returns the vehicle's
-        pairs of thrust and airspeed for these winds, a `Pairs`.
-    winds : ndarray, shape (n_winds, 3)
-        Corners of the polyhedron of all winds of the field, all horizontal [m/s].
-    power : float
-        Power of hovering [W]. Tolerances are fractions of this power.
     """
     mission, ((leg,), (durations,)) = scenario.mission, legs_of(scenario)
     ends = np.array([mission.start.position, mission.goal.position])
@@ -628,21 +516,10 @@ def _bound_of_places(
 def _has_places(
     scenario: Scenario, legs: Sequence[Leg], standing: FloatArray, winds: FloatArray
 ) -> bool:
-    """Return whether the function `_bound_of_places` may be called for a mission.
+    """Return whether the function `_bound_of_places` can bound the energy of a mission.
 
-    The mission must be a single leg between exact points. Winds must be horizontal and differ, and
-    `wind.beyond` must not be "hold"; `standing` must be vertical.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, with a wind field.
-    legs : sequence of Leg
-        Legs of the mission: the flights from one place (start, waypoint or goal) to the next.
-    standing : ndarray, shape (3,)
-        Thrust that holds the vehicle still in still air [N].
-    winds : ndarray, shape (n_winds, 3)
-        Corners of the polyhedron of all winds of the field [m/s].
+    It needs a single leg between exact points, horizontal winds that differ, and a vertical thrust
+    `standing`.
     """
     return (
         scenario.wind.beyond is not Beyond.HOLD
@@ -657,8 +534,7 @@ def _has_places(
 def _airspace_clause(scenario: Scenario) -> str:
     """Return a clause which says that a bound also holds for flights within the airspace.
 
-    The clause ends the sentence about the bound. If the scenario has no keep-out zones, floor or
-    ceiling, the clause is empty.
+    Without keep-out zones, floor and ceiling, the clause is empty.
     """
     airspace = scenario.airspace
     if not airspace.keep_out and airspace.floor is None and airspace.ceiling is None:
@@ -697,18 +573,7 @@ def _obstacles(scenario: Scenario) -> Iterator[str]:
 def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> float:
     """Maximise the dual function over its multipliers; return the best lower bound found [J].
 
-    The result is never below the bound of Jensen's inequality. See docs/theory/bound.md, eqs. (8)
-    and (9).
-
-    Parameters
-    ----------
-    moments : ThrustMoments
-        The two weighted integrals of the thrust that the mission fixes.
-    power : _SteadyPower
-        Total power as a function of the total thrust, all rotors at one constant speed.
-    ceiling : float
-        Energy of full power during the whole flight [J]. The search stops when the bound exceeds
-        this energy, because such a bound proves that no flight exists.
+    It is never below the bound of Jensen's inequality. See docs/theory/bound.md, eqs. (8) and (9).
     """
 
     def negative(multipliers: FloatArray) -> tuple[float, FloatArray]:
@@ -720,6 +585,7 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
         return -float(bound), slope.ravel()
 
     def stop_above(intermediate_result: OptimizeResult) -> None:
+        # A bound above the energy of full power proves that no flight exists.
         if -intermediate_result.fun > ceiling:
             raise StopIteration
 
@@ -738,18 +604,10 @@ def _best_bound(moments: ThrustMoments, power: _SteadyPower, ceiling: float) -> 
 
 
 class _SteadyPower:
-    """Total thrust and total power of the vehicle while all rotors turn at one constant speed.
+    """Total thrust [N] and total power [W] of the vehicle with all rotors at one constant speed.
 
-    Thrust and power are sampled over the allowed range of the rotor speed.
-
-    Attributes
-    ----------
-    thrust, power : ndarray, shape (n,)
-        Total thrust [N], increasing, and total power [W], at samples of the rotor speed. The power
-        may be negative.
-    is_polynomial : bool
-        Whether thrust and power of the Pyomo model are polynomials of the rotor speed. The samples
-        are then exact to rounding.
+    If they are polynomials of the rotor speed (`is_polynomial`), their samples are exact to
+    rounding.
     """
 
     def __init__(self, scenario: Scenario, steady: SteadyFlight) -> None:
@@ -779,21 +637,10 @@ class _SteadyPower:
         return float(np.interp(thrust, self.thrust[1:], self._slope))
 
     def conjugate(self, price: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the convex conjugate of the power: the maximum of price * thrust - power.
+        """Return the convex conjugate of the power [W] at prices of thrust, and best thrusts [N].
 
-        Implements docs/theory/bound.md, eq. (10).
-
-        Parameters
-        ----------
-        price : ndarray, shape (n,)
-            Multiplier of the thrust (its price), not negative, W/N.
-
-        Returns
-        -------
-        value : ndarray, shape (n,)
-            Upper bound on the maximum over the allowed thrusts, W.
-        thrust : ndarray, shape (n,)
-            Thrust of the maximum, to the spacing of the samples, N.
+        The conjugate bounds the maximum of price * thrust - power from above: docs/theory/bound.md,
+        eq. (10). `price` is not negative [W/N].
         """
         best = np.searchsorted(self._chords, price)
         return price * self._thrust[best] - self._floor[best], self._thrust[best]
@@ -804,23 +651,7 @@ def _fit(
 ) -> tuple[Chebyshev, FloatArray, bool]:
     """Fit a polynomial of the rotor speed to computed values of the model's thrust or power.
 
-    Parameters
-    ----------
-    computed : ndarray
-        Values of the model at the rotor speeds ``speeds``.
-    speeds : ndarray
-        Rotor speeds of the fit, rad/s.
-    samples : ndarray
-        Rotor speeds at which the fit is evaluated, rad/s.
-
-    Returns
-    -------
-    polynomial : Chebyshev
-        The fit.
-    values : ndarray
-        The fit at the speeds ``samples``.
-    is_exact : bool
-        Whether the fit equals the ``computed`` values to rounding.
+    Return the fit, its values at `samples`, and whether it equals `computed` to rounding.
     """
     domain = [speeds[0], speeds[-1]]
     polynomial = Chebyshev.fit(speeds, computed, _DEGREE, domain=domain)
@@ -829,14 +660,9 @@ def _fit(
 
 
 def _below(thrust: FloatArray, power: FloatArray) -> FloatArray:
-    """Return samples of the power, lowered so that the polygon through them is below the curve [W].
+    """Return samples of the power, lowered so that their polygon nowhere exceeds the power [W].
 
-    The curve is the power as a function of the thrust. See docs/theory/bound.md, eq. (10).
-
-    Parameters
-    ----------
-    thrust, power : ndarray, shape (n,)
-        Samples of the curve, in the order of increasing thrust: thrust [N] and power [W].
+    See docs/theory/bound.md, eq. (10). `thrust` [N] is increasing.
     """
     chords = np.diff(power) / np.diff(thrust)
     # The power rises with thrust, so the first step extends a level line.

@@ -37,8 +37,7 @@ def _caution(subject: str, message: str) -> Finding:
 def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     """Yield findings on a mission's battery before the solve: on its charge, power and limits.
 
-    A finding is the result of a check: its severity and a message for the user. Only faults are
-    yielded.
+    A finding names a fault: its severity and a message for the user.
 
     Parameters
     ----------
@@ -50,12 +49,12 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
     Yields
     ------
     Finding
-        A caution if the battery has too little charge or power for the mission. The solve is still
-        possible, because the battery's equations stay finite for an empty battery. A finding of
-        severity "impossible" if the lower bound on the energy, or the initial state of charge,
-        proves that every flight breaks a limit on the battery.
+        It is a caution if the battery has too little charge or power for the mission. It has the
+        severity "impossible" if every flight breaks a limit on the battery. The lower bound on the
+        energy, or the initial state of charge, proves this.
     """
     steady, limits = planner.steady_flight(scenario), scenario.limits
+    # Only a caution: the battery's equations stay finite for an empty battery.
     for line in battery_shortfalls(scenario, steady):
         yield Finding(severity=Severity.CAUTION, subject="battery.use", message=line)
     lowest, initial = limits.state_of_charge_min, scenario.battery.initial_state_of_charge
@@ -78,16 +77,9 @@ def pack_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _limits_broken(scenario: Scenario, steady: SteadyFlight, bound: float) -> Iterator[Finding]:
-    """Yield a finding for each battery limit that the energy `bound` makes every flight break.
+    """Yield a finding for each battery limit that every flight breaks.
 
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, of fixed duration, with the limits on the battery.
-    steady : SteadyFlight
-        Computes current and voltage of the battery at a given power.
-    bound : float
-        Lower bound on the energy of every flight of the mission [J].
+    `bound` is a lower bound on the energy of every flight [J].
     """
     limits, duration = scenario.limits, scenario.mission.fixed_duration
     # A limit broken at the least mean power (bound / duration) is broken by every flight.
@@ -135,10 +127,10 @@ _SAVING = 1e-3
 def power_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[Finding]:
     """Yield findings on the power model `efficiency`, and on the motor voltage in hover.
 
-    The model has cautions if hover is outside its valid range, if braking returns energy, or if
-    alternating acceleration and braking saves power. If hover needs more voltage than the battery
-    gives, the finding is "impossible" with the power models `motor` and `motor_with_friction`. With
-    other models it is a caution.
+    The model `efficiency` has a caution if hover is outside its valid range, braking returns
+    energy, or alternating acceleration and braking saves power. If hover needs more voltage than
+    the battery gives, the finding is "impossible" with the models `motor` and
+    `motor_with_friction`, else a caution.
     """
     if scenario.power.model is PowerModel.EFFICIENCY:
         yield from _efficiency_findings(scenario, steady)
@@ -179,10 +171,10 @@ def _efficiency_findings(scenario: Scenario, steady: SteadyFlight) -> Iterator[F
 
 
 def _fastest_chattering(steady: SteadyFlight, limit: float) -> float | None:
-    """Return the highest rotor speed at which chattering takes less power than a steady speed.
+    """Return the highest rotor speed [rad/s] at which chattering saves power.
 
-    Chattering is alternating acceleration and braking of a rotor, each at most ``limit``
-    [rad/s^2]. The result [rad/s] is None if chattering saves power at none of the speeds tried.
+    Chattering alternates acceleration and braking, each at most `limit` [rad/s^2]. None if it never
+    takes less power than a steady speed.
     """
     hover = steady.hover_speed
     # Where chattering takes less power, a plan of least energy chatters. The plan then depends on
@@ -228,7 +220,7 @@ _MARGIN = 1e-3
 
 
 def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
-    """Yield findings if every flight of a mission exceeds a limit on its motion.
+    """Yield findings on limits on the motion that every flight of a mission exceeds.
 
     The limits are those on rotor speed, rotor acceleration, thrust, tilt and yaw moment. Thrust and
     tilt are not checked if the wind varies with place or the drag is not linear.
@@ -262,17 +254,9 @@ def reach_findings(scenario: Scenario, planner: Planner) -> Iterator[Finding]:
 
 
 def _available_thrust(scenario: Scenario, steady: SteadyFlight) -> tuple[str, float]:
-    """Return the strictest limit on the thrust, and the largest thrust that this limit permits [N].
+    """Return the strictest limit on the thrust as text, and the largest thrust that it permits [N].
 
-    The limit is text, "field = value": the strictest of those on rotor speed, thrust and rotor
-    acceleration.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission, with its limits and its duration.
-    steady : SteadyFlight
-        Computes the thrust at a given rotor speed.
+    The limits are those on rotor speed, thrust and rotor acceleration.
     """
     limits = scenario.limits
     # Rotors start and end at hover speed, so they can be fastest half way through the flight, by
@@ -339,17 +323,7 @@ def _too_short(
 def _least_duration(scenario: Scenario, demand: MomentumDemand, available: float) -> float:
     """Return a duration below which the available thrust cannot move the vehicle to the goal [s].
 
-    The duration of the mission must be too short: the search begins above it. The result is
-    infinite if no duration tried is long enough, or if the wind is a series of measurements.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        The mission.
-    demand : MomentumDemand
-        Thrust that the momentum balance of the vehicle requires for the motion from start to goal.
-    available : float
-        Thrust that the limits allow [N].
+    The mission's own duration is known to be too short. The result is infinite if none is found.
     """
     # After the end of the mission, a measured wind is unknown.
     if scenario.wind.series is not None:
@@ -515,8 +489,7 @@ def _idle_limits(scenario: Scenario) -> Iterator[Finding]:
 def _tilt_left_to_plans(scenario: Scenario) -> Iterator[Finding]:
     """Yield a caution if plans of a scenario may tilt further than its controller can follow.
 
-    `baseline.gains.tilt_max` limits the controller; the limits on roll, pitch and thrust limit
-    plans.
+    Limits on roll, pitch and thrust apply to plans, `baseline.gains.tilt_max` to the controller.
     """
     given, without = scenario.baseline.gains.tilt_max, {"baseline.gains.tilt_max": None}
     allowed = followed_tilt(scenario.with_values(without)) if given is not None else 0.0
@@ -583,16 +556,16 @@ def plan_cautions(plan: "Plan", *, planner: "Planner | None" = None) -> tuple[st
 
 
 def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]:
-    """Yield a caution if a plan with simplified attitude equations in fact misses the goal.
+    """Yield a caution if a plan with the attitude equations of Yacef et al. misses the goal.
 
-    The equations of Yacef et al. (`vehicle.attitude` "paper") equate Euler rates and body rates.
-    This function simulates the plan's controls with the exact relation between them. If the time
-    limit ends the simulation, the caution says so.
+    The plan is simulated with the exact equations.
     """
     told = plan.scenario.as_forecast()
     is_printed = told.vehicle.attitude is Attitude.PAPER
     if not is_printed or plan.solution is None or plan.verification is None:
         return
+    # Simulate the plan with the exact relation between Euler rates and body rates; the equations
+    # of Yacef et al. equate the two.
     vehicle = told.vehicle.model_copy(update={"attitude": Attitude.EULER})
     exact = (planner or Planner()).dynamics(told.model_copy(update={"vehicle": vehicle}))
     held = plan.trajectories
@@ -617,8 +590,8 @@ def _attitude_cautions(plan: "Plan", planner: "Planner | None") -> Iterator[str]
 def _efficiency_map_cautions(plan: "Plan") -> Iterator[str]:
     """Yield a caution if part of a plan is outside the valid range of the polynomial f_r.
 
-    f_r is the efficiency of motor and rotor. In its valid range, torque and f_r exceed the
-    scenario's lower limits.
+    f_r is the efficiency of motor and rotor. Outside its range, the torque or f_r is below the
+    scenario's lower limit.
     """
     floors = plan.scenario.power
     if floors.model is not PowerModel.EFFICIENCY or not plan.dynamics.has(_EFFICIENCY):

@@ -432,8 +432,9 @@ def is_comparable(flight: Flight) -> bool:
 def settled_energy(flight: Flight) -> float:
     """Return the energy of a flight to the exact goal state [J].
 
-    The owed energy, from the end of the flight to this state, is included if it is known and the
-    flight has arrived.
+    The result includes the owed energy: an estimate of the energy from the end of the flight to the
+    goal state. Without this estimate, or if the flight has not arrived, the result is the energy of
+    the flight alone.
     """
     is_priced = has_arrived(flight) and isfinite(flight.owed_energy_J)
     return flight.energy_J + (flight.owed_energy_J if is_priced else 0.0)
@@ -461,10 +462,7 @@ def _percent(part: float, whole: float) -> float:
 
 
 def _measured(scenario: Scenario, frame: "pd.DataFrame") -> dict[ComparisonColumn, float]:
-    """Return the values of a comparison row that are computed from a flight's table over time.
-
-    `frame` is the flight's table, one row for each time. The goal is that of `scenario`.
-    """
+    """Return the values of a comparison row that are computed from a flight's table over time."""
     alpha = _rotor_values(frame, "rotors.alpha")
     tilt = np.cos(_values(frame, "rigid_body.phi")) * np.cos(_values(frame, "rigid_body.theta"))
     charge = _values(frame, "battery.state_of_charge")
@@ -488,22 +486,21 @@ def _reserve_percent(scenario: Scenario, frame: "pd.DataFrame") -> float:
 def _time_inside(scenario: Scenario, frame: "pd.DataFrame") -> float:
     """Return the time that a flight spends within `INSIDE_DISTANCE_M` of the goal [s].
 
-    A time interval of `frame` counts fully if both its ends are near the goal, and half if one end
-    is. The result is NaN if `frame` lacks a coordinate.
+    The result is NaN if `frame` lacks a coordinate.
     """
     position = np.column_stack([_values(frame, name) for name in POSITION_STATES])
     distance = np.linalg.norm(position - scenario.mission.goal.position, axis=1)
     if np.isnan(distance).any():
         return nan
     is_near = (distance <= INSIDE_DISTANCE_M).astype(float)
+    # An interval counts fully if both its ends are near the goal, and half if one end is.
     return float(np.trapezoid(is_near, frame[TIME].to_numpy(dtype=float)))
 
 
 def _rotor_values(frame: "pd.DataFrame", component: str) -> FloatArray:
     """Return the values of a rotor variable, such as "rotors.omega", from the table of a flight.
 
-    The result has one row for each time, and one column for each rotor, but at least four columns.
-    The values of rotors that a user's model lacks are NaN.
+    The columns are the rotors, at least four. Rotors that a user's model lacks are NaN.
     """
     shown = [one for one in ALL_COLUMNS if one.component == component]
     return np.column_stack(

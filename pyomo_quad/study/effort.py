@@ -2,11 +2,10 @@
 
 Most of the time is spent in Ipopt's iterations. The time of an iteration is proportional to the
 number of unknowns: variables per collocation point times points of the mesh. The solve may be
-repeated for several meshes, routes round keep-out zones and orders of the waypoints, whose numbers
-are known or estimated beforehand.
+repeated for several meshes, routes round keep-out zones and orders of the waypoints.
 
-The constants, such as the time per unknown and iteration, were measured. The command `python -m
-tests.benchmarks resolve missions` compares estimated with measured times.
+The constants were measured. The command `python -m tests.benchmarks resolve missions` compares
+estimated with measured times.
 """
 
 from __future__ import annotations
@@ -202,8 +201,7 @@ def counts_of(scenario: Scenario, unknowns: int) -> Counts:
 def _cells(scenario: Scenario) -> int:
     """Estimate how many grid cells of the wind field or of the terrain a mission's legs cross.
 
-    The estimate is (horizontal length of all legs) / (least horizontal step of the grids). It is 0
-    if the scenario has no grid.
+    The estimate is (horizontal length of all legs) / (least step of the grids), 0 without a grid.
     """
     field, ground = scenario.wind.grid, scenario.airspace.ground
     steps = [] if field is None else [after - at for at, after in pairwise(field.x)]

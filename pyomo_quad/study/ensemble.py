@@ -137,9 +137,9 @@ class Ensemble(Summarised):
     def worst(self) -> dict[str, float]:
         """Largest violation of each broken limit over all flights, by the limit in words.
 
-        For the arrival, the value is the final distance [m] or speed [m/s]. For the battery, it is
-        the missing fraction of power or charge. For any other limit, it is violation / max(1,
-        limit).
+        - Arrival: final distance [m] or final speed [m/s].
+        - Battery: fraction of the required power or charge that is missing.
+        - Any other limit: violation / max(1, limit).
         """
         return {
             name: max(ending.broken.get(name, 0.0) for ending in self.flown.endings)
@@ -224,8 +224,8 @@ def fly_plan_often(
         The mission, with the duration and the passing times of the plan: the property
         `mission_flown` of a `Plan`.
     held : Trajectories
-        States and controls of the plan over time. The plan was made for the scenario's forecast of
-        the wind. If there is no forecast, the plan was made for the actual wind without turbulence.
+        States and controls of the plan over time. The plan must be made for the scenario's wind
+        forecast, or without a forecast for its actual wind without turbulence.
     planner : Planner
         Holds the compiled equations of the vehicle.
     flights, seed : int
@@ -255,10 +255,9 @@ def fly_cruise_often(
 ) -> Ensemble:
     """Simulate many flights of an autopilot, straight between waypoints, in random winds.
 
-    With the same seed, the winds are those of `fly_plan_often`. At the goal, all flights wait for
-    the same time. It is the shortest, to 0.1 s, with which at least the share `arriving` of the
-    flights arrives. If none of the times `SETTLINGS_S` is long enough, it is the one with most
-    arrivals.
+    With the same seed, the winds are those of `fly_plan_often`. All flights wait at the goal for
+    the same time: the shortest, to 0.1 s, with which the share `arriving` of the flights arrives.
+    If no time in `SETTLINGS_S` is long enough, the time with most arrivals is taken.
 
     Parameters
     ----------
@@ -347,9 +346,8 @@ class Saving:
     rival : Ensemble
         The other flights, one in each wind, such as the flights of an autopilot.
     percent : (float, float, float)
-        Saving in per cent: 5, 50 and 95 % quantiles over the winds. The constant `BAND` holds the
-        levels of the quantiles. The saving in one wind is 100 (rival - plan) / rival, where `plan`
-        and `rival` stand for the energies of the two flights in this wind.
+        Saving in per cent: 5, 50 and 95 % quantiles (`BAND`) over the winds. The saving in one wind
+        is 100 (rival - plan) / rival, from the energies of the two flights.
     both_succeeded : int
         Number of winds in which both flights arrived within all limits. The percentages cover all
         winds.
@@ -399,9 +397,9 @@ class InTurbulence:
     def savings(self) -> tuple[Saving, ...]:
         """The energy saving over the autopilot, as a tuple of one item.
 
-        The tuple is empty if no autopilot was simulated. Reports of ensembles read the savings as a
-        tuple.
+        The tuple is empty if no autopilot was simulated.
         """
+        # Reports of ensembles read the savings as a tuple.
         return () if self.saving is None else (self.saving,)
 
     @property

@@ -1,9 +1,11 @@
 """Energy-time front: least energy of a mission of free duration against its duration.
 
-Each point of the front is a flight that minimises energy + price * duration. The price of time [W]
-is a weight. The mission sets one price, and this study also uses other prices. A flight that is
-shorter than a flight of the front takes more energy. Where the least energy is convex in the
-duration, each price selects one flight, and the slope of the front there is minus the price.
+Each point of the front is a flight that minimises energy + price of time [W] * duration. Every
+shorter flight takes at least as much energy. The mission sets one price, and this study also uses
+other prices.
+
+Where the least energy is convex in the duration, each price selects one flight. The slope of the
+front there is minus the price.
 """
 
 from math import isclose, isfinite, nan
@@ -48,9 +50,8 @@ def energy_time_front(
     """Return energy and duration of a free-duration mission for several prices of time.
 
     The objective is energy + price of time [W] * duration. If the mission's objective is the least
-    charge, the charge times a voltage takes the place of the energy. The mission is solved for each
-    price on the mesh of the plan, without refinement. Between mesh points the new flights may break
-    limits.
+    charge, the charge times a voltage takes the place of the energy. The mesh is that of the plan,
+    so the new flights may break limits between mesh points.
 
     Parameters
     ----------
@@ -64,11 +65,10 @@ def energy_time_front(
     Returns
     -------
     DataFrame
-        Columns of `FrontColumn`, one row for each flight, the shortest flight first. The price in
-        the row of the plan is NaN if the plan's objective is the least time. The table has rows
-        only if the plan's duration is free and simulation confirmed the plan to the requested
-        accuracy. A failed or stopped solve adds no row, nor does one with a duration that is
-        already in the table.
+        Columns of `FrontColumn`, one row for each flight, the shortest flight first. The price of
+        the plan is NaN if its objective is the least time. The table is empty if the mission fixes
+        the duration, or if simulation did not confirm the plan to the requested accuracy. Only
+        successful solves with new durations add rows.
     """
     if not plan.is_verified or not plan.scenario.mission.is_free:
         return FrontColumn.of_rows(())
@@ -107,8 +107,8 @@ def planned_alike(
 ) -> Plan:
     """Solve a plan's mission with some fields changed, warm-started from the plan and on its mesh.
 
-    If the plan's limits were tightened for an allowed risk, the limits of the changed mission are
-    tightened by the same margins. The two plans are then comparable.
+    Limits that the plan tightened for an allowed risk are tightened by the same margins. The two
+    plans are thus comparable.
 
     Parameters
     ----------

@@ -1,8 +1,8 @@
 """Headline of a run: its main results in a few sentences.
 
 The sentences state energy and duration of the plan, its energy saving, and the success of its
-simulated flights in turbulence. The energy saving is the difference in energy between the plan and
-one other flight of the run, the rival. The function `rival_of` chooses it.
+simulated flights in turbulence. The energy saving compares the plan with one other flight of the
+run, the rival. The function `rival_of` chooses the rival.
 """
 
 from collections.abc import Iterable, Mapping
@@ -49,8 +49,8 @@ class Headline:
         Many simulated flights of the run in turbulence. If given, the headline uses them instead of
         the test flights in ``risk``.
     is_compared : bool
-        Whether other flights can be compared with the plan: it arrives close to the goal, and keeps
-        all limits.
+        Whether the plan arrives close to the goal and keeps all limits. Otherwise it cannot be
+        compared with other flights.
     """
 
     energy_J: float
@@ -174,9 +174,8 @@ def headline_of(result: "RunResult") -> Headline | None:
 def rival_of(comparison: "pd.DataFrame") -> Row | None:
     """Choose the flight with which the plan is compared, and return its row in `comparison`.
 
-    `comparison` must have a saving of the plan over the flight; the flight then arrived and kept
-    all limits. The flight "open_loop/plan" does not qualify. In the order of preference, the result
-    is
+    A flight qualifies if its row has a saving, except for the flight "open_loop/plan". Only flights
+    that arrived and kept all limits have one. The result is, in the order of preference,
 
     - the flight of the autopilot tuned for least energy,
     - the flight under the controller along a smooth path (quintic polynomial),

@@ -77,9 +77,8 @@ class Leg:
     mass : float
         Mass, as a fraction of the mass at the start.
     group : int
-        Index of the leg's group. A group consists of the consecutive legs between two passages
-        whose times the mission fixes or limits. The mission thus fixes or limits the sum of their
-        durations.
+        Index of the leg's group. The mission fixes or limits the sum of the durations of the legs
+        of a group.
     end_speed : float
         Largest speed at the end of the leg, m/s; infinite without a limit.
     """
@@ -94,9 +93,9 @@ class Leg:
 def legs_of(scenario: Scenario) -> tuple[list[Leg], list[tuple[float, float]]]:
     """Return the legs of a mission, and the limits on the durations of groups of legs.
 
-    A group has all legs between two successive fixed times: the start, given passing times, and the
-    end. A hover at a waypoint counts as a leg that forms its own group. The waypoints keep the
-    scenario's order, even if `mission.order` leaves the order open.
+    Waypoints with a given passing time divide the flight into groups of legs. A hover at a waypoint
+    counts as a leg that forms its own group. The waypoints keep the scenario's order, even if
+    `mission.order` leaves the order open.
 
     Returns
     -------
@@ -178,6 +177,8 @@ class Itinerary:
         self._conjugate = conjugate
         nodes, widths = np.polynomial.legendre.leggauss(_NODES)
         self._shares, self._widths = (nodes + 1) / 2, widths / 2
+        # A waypoint that limits the speed has two prices of velocity, before and after it. Every
+        # other waypoint has one.
         jumps = [k for k, leg in enumerate(legs[:-1]) if leg.end_speed < inf]
         before = np.cumsum([0, *[1 + (k in jumps) for k in range(len(legs) - 1)]])
         self._first, self._last = before, before + 1
@@ -186,27 +187,10 @@ class Itinerary:
         self._size = int(self._last[-1]) + 1
 
     def _terms(self, prices: FloatArray) -> tuple[FloatArray, FloatArray, float, FloatArray]:
-        """Return the terms of the lower bound for given prices of velocity, with their gradients.
+        """Return A_k [J s] and G_k [W] of all legs, the term of the jumps [J], and their gradients.
 
-        The bound is the sum of A_k / T_k + G_k T_k over the legs, plus `jumped`.
-
-        Parameters
-        ----------
-        prices : ndarray, shape (n_prices, 3)
-            Prices y (Lagrange multipliers) of velocity at the ends of the legs, J per m/s. The
-            price changes linearly with time along a leg. A waypoint that limits the speed has two
-            prices, before and after the waypoint. Every other waypoint has a single price.
-
-        Returns
-        -------
-        gained, spent : ndarray, shape (n_legs,)
-            A_k [J s] and G_k [W] of each leg.
-        jumped : float
-            Term of the bound for the jumps of the price at waypoints with a speed limit, J: minus
-            the sum over these waypoints of (speed limit * length of the jump).
-        slopes : ndarray, shape (2 n_legs + 1, n_prices, 3)
-            Gradients with respect to the prices: first those of the A_k, then those of the G_k,
-            last the gradient of `jumped`.
+        The gradients with respect to `prices`, the prices y of velocity, have the shape (2 n_legs +
+        1, n_prices, 3).
         """
         n = len(self._displacements)
         legs = np.arange(n)
@@ -243,9 +227,7 @@ class Itinerary:
         Parameters
         ----------
         price : ndarray, shape (3,)
-            Price of thrust for the start of the search, W/N. The first prices of velocity are
-            `price` * (mass at the start) - factor * (position relative to the start), with the best
-            of several positive factors.
+            Price of thrust for the start of the search, W/N.
         """
         places = np.zeros((self._size, 3))
         for first, last, displacement in zip(
@@ -266,10 +248,10 @@ class Itinerary:
         return -self._negative(found)[0]
 
     def _negative(self, flat: FloatArray) -> tuple[float, FloatArray]:
-        """Return the negative lower bound on the energy [J] and its gradient, for a minimiser.
+        """Return minus the lower bound on the energy [J], and its gradient, for a minimiser.
 
-        `flat` holds the prices of velocity [J per m/s] at the ends of the legs, three components
-        for each price. If the prices give no bound, the result is 1e12 J with the gradient zero.
+        `flat` holds the prices of velocity [J per m/s]. If they give no bound, the result is 1e12
+        J.
         """
         gained, spent, jumped, slopes = self._terms(flat.reshape(-1, 3))
         bound, times = jumped, np.zeros(len(gained))
@@ -294,8 +276,7 @@ class Itinerary:
 def _length(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the lengths of vectors, smoothed at zero, and their gradients.
 
-    `vectors` and the gradients have the shape (n, 3), the lengths (n,). The smoothed length is
-    slightly larger than the exact one.
+    The smoothed length is slightly larger than the exact one.
     """
     length = np.sqrt(np.sum(vectors**2, axis=1) + _CORNER**2)
     return length, vectors / length[:, None]
@@ -306,22 +287,8 @@ def _least_over_times(
 ) -> tuple[float, FloatArray]:
     """Minimise the sum of A_k / T_k + G_k T_k over the durations T_k of one group of legs.
 
-    Implements docs/theory/bound.md, eq. (13). The module docstring defines A_k and G_k.
-
-    Parameters
-    ----------
-    gained, spent : ndarray, shape (n,)
-        A_k [J s] and G_k [W] of the n legs of the group.
-    least, greatest : float
-        Lower and upper limit of the sum of the T_k, s; equal if the sum is fixed.
-
-    Returns
-    -------
-    float
-        The minimum [J]. It is minus infinity if an A_k is negative, unless the group is a single
-        leg of fixed duration.
-    ndarray, shape (n,)
-        The minimising T_k, s; zero if the minimum is minus infinity.
+    Without a minimum, the result is minus infinity. The sum of the T_k is limited by `least` and
+    `greatest` [s]. See docs/theory/bound.md, eq. (13).
     """
     if least == greatest and gained.size == 1:
         return float(gained[0] / least + spent[0] * least), np.array([least])

@@ -2,8 +2,8 @@
 
 The risk of a plan is the allowed share of its flights in turbulence that break a limit. The planner
 simulates test flights of the plan in turbulence. The risk covers a limit if it is among the three
-that the test flights break most often. It covers a flight if it covers every limit that the flight
-breaks.
+that the test flights break most often. The risk covers a flight if it covers every limit that the
+flight breaks.
 """
 
 from collections.abc import Iterator, Sequence
@@ -28,9 +28,8 @@ _WITHOUT_RISK = "planned without mission.risk, so without margins for the contro
 def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a sentence on each flight that breaks limits, for the report of a run.
 
-    If no flight breaks a limit, a single sentence says so. Otherwise each sentence names the broken
-    limits and says whether the plan's risk covers the flight. The risk applies only to flights
-    under feedback that track the plan, or new plans for the true or the estimated wind.
+    Each sentence names the broken limits of a flight, and says whether the plan's risk covers the
+    flight. If no flight breaks a limit, a single sentence says so.
 
     Parameters
     ----------
@@ -56,8 +55,7 @@ def limit_lines(plan: Plan, flights: Sequence[Flight]) -> Iterator[str]:
 def _risk_words(risk: RiskTaken | None, flight: Flight) -> str:
     """Return in words whether the plan's risk covers a flight that breaks limits.
 
-    `risk` is the record of the risk and of the planner's test flights; None for a plan without
-    risk.
+    `risk` is None for a plan without risk.
     """
     if flight.name == OPTIMAL:
         return "the plan itself, beyond the error that its accuracy allows"

@@ -121,11 +121,10 @@ class MotionPrices:
 class Pairs:
     """All combinations (pairs) of thrust and airspeed of a vehicle, with the power that they take.
 
-    The coordinates of a pair are rotor speed, airspeed along the thrust and airspeed across it.
-    With the power model `momentum`, the induced velocity replaces the rotor speed.
+    The coordinates of a pair are rotor speed, airspeed along the thrust and airspeed across the
+    thrust. With the power model `momentum`, the induced velocity replaces the rotor speed.
 
-    The module docstring defines H. Several methods leave out the terms of H that are equal for all
-    pairs, which `_constant` returns.
+    The module docstring defines H. `_constant` returns its terms that are equal for all pairs.
 
     Parameters
     ----------
@@ -193,26 +192,10 @@ class Pairs:
         return self._dynamics.expressions(tuple(keys), self._dynamics.start, self._values(*at))
 
     def _of_rotors(self, first: Symbol, along: Symbol, across: Symbol) -> tuple[Any, ...]:
-        """Return rotor speed, thrust, power and two further CasADi expressions of a pair.
+        """Return rotor speed, thrust, power, `excess` and `margin` of a pair as CasADi expressions.
 
-        The two further expressions tell how much power the pair may save if the rotors have unequal
-        speeds. See docs/theory/bound.md, eq. (17).
-
-        Parameters
-        ----------
-        first : Symbol
-            Rotor speed [rad/s], or induced velocity [m/s] for the power model `momentum`.
-        along, across : Symbol
-            Airspeed along and across the thrust [m/s].
-
-        Returns
-        -------
-        speed, thrust, power : expression
-            Rotor speed [rad/s], total thrust [N] and total power [W] of rotors with equal speeds.
-        excess, margin : expression
-            If `margin` is negative, rotors with unequal speeds and the same total thrust may take
-            less power, but at most `excess` [W] less. Otherwise equal speeds take the least power,
-            and `excess` has no meaning. Only the sign of `margin` is used.
+        Power is that of equal rotor speeds. If `margin` is negative, unequal speeds take at most
+        `excess` [W] less: docs/theory/bound.md, eq. (17).
         """
         each = range(1, len(self._rotors) + 1)
         powers: list[tuple[str, Any]] = [("power.total", None)]
@@ -232,13 +215,14 @@ class Pairs:
         multiple = self._read([(_PROFILE, 1)], along, across, 1.0, first)[0] - cube
         # Power at equal speeds less the convex envelope: the tangent through zero thrust.
         excess = len(each) * speed * (cube**0.5 * speed - multiple**0.5) ** 2
+        # Only the sign of the margin is used. If it is positive, equal speeds take the least power,
+        # and the excess has no meaning.
         return speed, thrust, sum(power), excess, cube * squared - multiple
 
     def _forces(self, along: Symbol, across: Symbol) -> tuple[Any, Any]:
         """Return the force of the air on the moving vehicle, across and along the thrust [N].
 
-        `along` and `across` are the airspeed along and across the thrust [m/s]. The force is zero
-        at zero airspeed.
+        The force is zero at zero airspeed.
         """
         keys = [("aerodynamics.force_x", None), ("aerodynamics.force_z", None)]
         moving = self._read(keys, along, across, 0.0, 0.0)
@@ -246,36 +230,21 @@ class Pairs:
         return moving[0] - still[0], moving[1] - still[1]
 
     def _at(self, points: FloatArray, numbers: Sequence[float] = (0.0,) * 4) -> FloatArray:
-        """Evaluate the function H and its parts at n pairs of thrust and airspeed.
+        """Return H and its parts at n pairs of thrust and airspeed, shape (8, n).
 
-        Rotors with unequal speeds may take less power than rotors with equal speeds. H and power
-        are lower bounds for both. Margin and excess are those of the method `_of_rotors`.
-
-        Parameters
-        ----------
-        points : ndarray, shape (3, n)
-            Coordinates of the pairs: rotor speed [rad/s] (induced velocity [m/s] for the power
-            model `momentum`), airspeed along the thrust and airspeed across the thrust [m/s].
-        numbers : sequence of 4 float, optional
-            The four numbers from the method `numbers`, by which the prices enter H. By default all
-            four are zero, and H is the power.
-
-        Returns
-        -------
-        ndarray, shape (8, n)
-            The rows are: H [W] without the terms that are equal for all pairs, thrust [N], rotor
-            speed [rad/s], margin, force of the air across and along the thrust [N], power [W], and
-            excess [W].
+        The rows are H [W] without `_constant`, thrust [N], rotor speed [rad/s], margin, air force
+        across and along the thrust [N], power [W], excess [W].
         """
         found = self._enclosure.at(points, (*numbers, 1.0))
+        # H and power become lower bounds for rotors with unequal speeds, too.
         found[[0, 6]] -= np.where(found[3] >= 0.0, 0.0, found[7])
         return found
 
     def _fastest(self, scenario: Scenario) -> float:
         """Return an upper limit on the airspeed of every flight that begins at rest [m/s].
 
-        Without a speed limit, the result is infinite if the drag is too small at every airspeed.
-        See docs/theory/bound.md, eq. (22).
+        It is infinite if neither the drag nor a limit bounds the speed: docs/theory/bound.md, eq.
+        (22).
         """
         strongest = float(np.linalg.norm(self._winds, axis=1).max())
         allowed = inf if scenario.limits.speed_max is None else scenario.limits.speed_max
@@ -294,8 +263,7 @@ class Pairs:
     def _most_of_first(self) -> float:
         """Return the largest value of a pair's first coordinate that the largest thrust permits.
 
-        The coordinate is a rotor speed [rad/s], or for the power model `momentum` an induced
-        velocity [m/s].
+        It is a rotor speed [rad/s], or an induced velocity [m/s] for the model `momentum`.
         """
 
         def excess(first: float) -> float:
@@ -308,7 +276,7 @@ class Pairs:
     def numbers(self, prices: MotionPrices, mass: float) -> tuple[float, ...]:
         """Return the four numbers by which the prices enter the minimisation of H over the pairs.
 
-        `_constant` returns the terms that are equal for all pairs. See docs/theory/bound.md, eq.
+         See docs/theory/bound.md, eq.
         (16).
 
         Parameters
@@ -321,8 +289,8 @@ class Pairs:
         Returns
         -------
         tuple of 4 float
-            Length of p; component of q along p; length of the component of q across p; eta. Here q
-            is w - eta s, and s is the thrust that holds the vehicle still: `standing` times `mass`.
+            The length of p, the component of q along p, the length of the component of q across p,
+            and eta. The vector q is w - eta s, where s is `standing` times `mass`.
         """
         displacement = prices.displacement - prices.motion * mass * self.standing
         size = float(np.linalg.norm(prices.momentum))
@@ -334,8 +302,8 @@ class Pairs:
     def _in_wind(self, prices: MotionPrices, wind: FloatArray) -> MotionPrices:
         """Convert the prices on a leg into prices for the motion through the air in one wind.
 
-        The kinetic energy in the result is relative to air of the velocity `wind`, shape (3,)
-        [m/s]. Implements docs/theory/bound.md, eq. (20).
+        The kinetic energy is then relative to air of the velocity `wind`: docs/theory/bound.md, eq.
+        (20).
         """
         return replace(prices, momentum=prices.momentum + prices.motion * (wind - self._middle))
 
@@ -362,9 +330,8 @@ class Pairs:
         list of ndarray, shape (8,)
             One array for each pair at one of the lowest local minima of H: the power of the pair
             [W], then the derivatives of H with respect to the prices of momentum (3) [N],
-            displacement (3) [m/s] and kinetic energy (1) [W]. If the thrust that holds the vehicle
-            still (`standing`) is vertical, seven arrays follow each array. They belong to copies of
-            the pair, rotated about the vertical.
+            displacement (3) [m/s] and kinetic energy (1) [W]. If `standing` is vertical, each pair
+            is followed by seven copies, rotated about the vertical.
         """
         minima = []
         for wind in self._winds:
@@ -387,7 +354,8 @@ class Pairs:
         Parameters
         ----------
         prices : sequence of n MotionPrices
-            Prices in H. The price of momentum already includes the effect of the wind.
+            Prices in G. The price of momentum is that in the wind: a in the module
+            `study.potential`.
         above : ndarray, shape (n,)
             Upper bound on G for each item of `prices` [W], such as the value of H at a sampled
             pair. The search is faster if this bound is close to G.
@@ -408,7 +376,7 @@ class Pairs:
     def samples(self) -> FloatArray:
         """Return thrust, force of the air, power and airspeed of many pairs, shape (6, n).
 
-        Only pairs with 0.3 to 1.8 times the thrust that holds the vehicle still are included.
+        The thrust of the pairs is 0.3 to 1.8 times the length of `standing`.
 
         The rows are thrust [N], force of the air along and across the thrust [N], power [W], and
         airspeed along and across the thrust [m/s].
@@ -425,10 +393,10 @@ class Pairs:
         return np.asarray(found[:, kept])
 
     def _minima(self, prices: MotionPrices, mass: float) -> tuple[FloatArray, FloatArray]:
-        """Find the lowest local minima of the function H over the pairs, by sampling.
+        """Return pairs at the lowest local minima of H, found by sampling, and H at these pairs.
 
-        The results are at most `_CANDIDATES` pairs, shape (3, n), and their H without the terms of
-        `_constant` [W], shape (n,). `prices` come from `_in_wind`.
+        At most `_CANDIDATES` pairs are returned. H [W] is without `_constant`. `prices` come from
+        `_in_wind`.
         """
         from scipy.ndimage import minimum_filter  # noqa: PLC0415  not for every certificate
 
@@ -461,29 +429,9 @@ class Pairs:
     def _rows(
         self, at: FloatArray, prices: MotionPrices, mass: float, wind: FloatArray
     ) -> list[FloatArray]:
-        """Return power and derivatives of H for a pair of thrust and airspeed, and for its copies.
+        """Return power and derivatives of H for a pair, and for its copies, as in `cheapest`.
 
-        The pair has the orientation with the least H. Copies, rotated about the vertical, exist
-        only for a vertical `standing`.
-
-        Parameters
-        ----------
-        at : ndarray, shape (3,)
-            Coordinates of the pair: rotor speed (induced velocity for the power model `momentum`),
-            airspeed along the thrust and airspeed across the thrust.
-        prices : MotionPrices
-            Prices for the motion through the air in the wind `wind`, from `_in_wind`.
-        mass : float
-            Mass as a fraction of the mass at the start.
-        wind : ndarray, shape (3,)
-            Wind [m/s].
-
-        Returns
-        -------
-        list of ndarray, shape (8,)
-            First the array of the pair, then those of the copies. Each holds the power [W], then
-            the derivatives of H with respect to the prices of momentum (3) [N], displacement (3)
-            [m/s] and kinetic energy (1) [W].
+        The pair has the orientation with the least H. `prices` come from `_in_wind`.
         """
         momentum, displacement = (
             prices.momentum,
@@ -502,6 +450,7 @@ class Pairs:
             force, moved = turn @ pushed, turn @ through_air + wind
             motion = float((moved - self._middle) @ force)
             found.append(np.array([power, *-force, *-moved, -motion]))
+        # Copies, rotated about the vertical, have the same H only if `standing` is vertical.
         return found[:1] if np.any(self.standing[:2]) else found
 
     def least(self, prices: MotionPrices, mass: float, tolerance: float) -> float:
@@ -530,20 +479,10 @@ class Pairs:
         return proven
 
     def _proven(self, numbers: FloatArray, sampled: FloatArray, tolerance: float) -> FloatArray:
-        """Return proven lower bounds on the least value of H, for n sets of prices, shape (n,) [W].
+        """Return proven lower bounds on H without `_constant` for each column of `numbers` [W].
 
-        The bounds leave out the terms of `_constant`. They are looser than `tolerance` if the
-        search ends early, after `_MOST_BOXES` boxes.
-
-        Parameters
-        ----------
-        numbers : ndarray, shape (4, n)
-            Each column has the four numbers of one set of prices, from the method `numbers`.
-        sampled : ndarray, shape (n,)
-            For each set, the value of H at some pair without these terms [W]. The search starts
-            from this value.
-        tolerance : float
-            Accuracy of the bounds [W].
+        The search starts from `sampled`, values of H at some pairs. If the search ends early, the
+        bounds are looser than `tolerance`.
         """
         cuts = [np.linspace(edge[0], edge[1], _FIRST_BOXES + 1) for edge in self._edges()]
         low = np.stack(np.meshgrid(*(c[:-1] for c in cuts), indexing="ij")).reshape(3, -1)
@@ -572,33 +511,16 @@ class Pairs:
     def _not_excluded(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, enough: FloatArray
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return which boxes may contain a permitted pair with H below ``enough``.
+        """Return which boxes may contain a permitted pair with H below `enough`.
 
-        A pair is permitted if it keeps the limits on thrust, rotor speed and airspeed.
-
-        Parameters
-        ----------
-        low, high : ndarray, shape (3, n)
-            Lower and upper ends of the boxes along the three coordinates.
-        numbers : ndarray, shape (4, n)
-            For each box, the four numbers of the prices, from the method `numbers`.
-        enough : ndarray, shape (n,)
-            One value for each box [W]. The box is excluded if the lower bound on H, without the
-            terms of `_constant`, is at least this value.
-
-        Returns
-        -------
-        ndarray of bool, shape (n,)
-            Whether a box may contain such a pair (True), or is excluded (False).
-        ndarray of bool, shape (n_kept,)
-            For each of the n_kept boxes that may contain such a pair: True if rotors with equal
-            thrusts are proven to take the least power for all pairs in the box; False if not
-            proven.
+        H is without `_constant`. The second result says for these boxes whether equal rotor thrusts
+        are proven to take the least power.
         """
         # Without the slopes that `_box` bounds, the enclosure is much faster.
         given = np.vstack([numbers, np.zeros(low.shape[1])])
         under, over = self._enclosure.values_over(low, high, given)
         nearest = np.minimum(np.abs(low[1]), np.abs(high[1])) * (low[1] * high[1] > 0.0)
+        # Empty boxes have no pair that keeps the limits on thrust, rotor speed and airspeed.
         is_empty = (
             (under[1] > self._most_thrust)
             | (over[2] < self._slowest)
@@ -611,29 +533,10 @@ class Pairs:
     def _box(
         self, low: FloatArray, high: FloatArray, numbers: FloatArray, is_alike: NDArray[np.bool_]
     ) -> tuple[FloatArray, FloatArray, NDArray[np.int_]]:
-        """Bound the function H from below in n boxes of the branch and bound search.
+        """Return for n boxes a lower bound on H, H at one pair, and the coordinate to halve.
 
-        Implements docs/theory/bound.md, eq. (18).
-
-        Parameters
-        ----------
-        low, high : ndarray, shape (3, n)
-            Lower and upper ends of the boxes along the three coordinates.
-        numbers : ndarray, shape (4, n)
-            For each box, the four numbers of the prices, from the method `numbers`.
-        is_alike : ndarray of bool, shape (n,)
-            Whether rotors with equal thrusts are proven to take the least power for all pairs in
-            the box.
-
-        Returns
-        -------
-        under : ndarray, shape (n,)
-            Lower bound of H, without the terms of `_constant`, in each box [W].
-        reached : ndarray, shape (n,)
-            H at one pair in each box, without these terms [W]; infinite if the thrust of the pair
-            exceeds the largest thrust.
-        split : ndarray of int, shape (n,)
-            Index of the coordinate along which to halve each box.
+        H [W] is without `_constant`; at a pair with too much thrust it is infinite. Implements
+        docs/theory/bound.md, eq. (18).
         """
         given = np.vstack([numbers, is_alike])
         (under, _), slopes = self._enclosure.over(low, high, given)
@@ -761,20 +664,8 @@ def prices_of_pairs(
 class _Program:
     """Linear program for the prices that maximise the lower bound on a flight's energy.
 
-    Each pair of thrust and airspeed that is known so far gives one linear constraint: the least H
-    of a leg is at most the value of H at the pair.
-
-    Parameters
-    ----------
-    legs : sequence of Leg
-        Legs of the flight, from `legs.legs_of`.
-    shared : sequence of tuple of float
-        Least and greatest duration of each group of legs (the legs between two fixed times), from
-        `legs.legs_of`, s.
-    power : float
-        Power of hover [W]. Tolerances are fractions of this power.
-    standing : ndarray, shape (3,)
-        Thrust that holds the vehicle still at zero airspeed, N.
+    Each pair known so far gives one constraint: the least H of a leg is at most the value of H at
+    the pair.
     """
 
     def __init__(
@@ -828,9 +719,9 @@ class _Program:
         self._limits.append(limit)
 
     def add(self, k: int, pair: FloatArray) -> None:
-        """Add a constraint: the least H of leg ``k`` is at most the value of H at a given pair.
+        """Add a constraint: the least H of leg `k` is at most the value of H at a given pair.
 
-        `pair` is from `Pairs.cheapest`, shape (8,): power [W], then derivatives of H by the prices.
+        `pair` is an array from `Pairs.cheapest`.
         """
         mass, line = self._legs[k].mass, np.zeros(self.size)
         line[:3], line[self._of(self._displacement, k)] = -pair[1:4] / mass, -pair[4:7]
@@ -841,11 +732,10 @@ class _Program:
     def solve(self) -> tuple[FloatArray, float]:
         """Solve the linear program; return its unknowns at the optimum, and the optimal value [J].
 
-        If the ends of the legs have no slack, no prices within the program's limits can prove a
-        bound above the optimal value, up to a tolerance. The method `prices` converts the unknowns
-        into prices.
+        The method `prices` converts the unknowns into prices.
         """
-        # Pairs that are not known yet could only lower the optimal value.
+        # Pairs that are not known yet could only lower the optimal value. If the ends of the legs
+        # have no slack, no prices within the limits can prove more, up to a tolerance.
         limits = np.full((self.size, 2), [-inf, inf])
         limits[: self._least] = np.stack([-self._dearest, self._dearest], axis=1)
         limits[3, 0] = 0.0
@@ -868,8 +758,8 @@ class _Program:
     def bound(self, prices: Sequence[MotionPrices], least: FloatArray) -> float:
         """Return the lower bound on the flight's energy [J] that given prices on the legs prove.
 
-        `least` holds for each leg a lower bound on H over all pairs [W], shape (n_legs,).
-        Implements docs/theory/bound.md, eq. (19).
+        `least` holds for each leg a lower bound on H [W]. Implements docs/theory/bound.md, eq.
+        (19).
         """
         found = sum(
             float(p.displacement @ leg.displacement)

@@ -100,8 +100,8 @@ class PlacePrices:
     def of(cls, prices: MotionPrices, middle: FloatArray) -> PlacePrices:
         """Convert the prices of `study.pairs` into prices for the bound by a potential.
 
-        `middle` is the middle of the range of winds for which `prices` were found, shape (3,)
-        [m/s]. The price of time in the result is zero.
+        `prices` were found for a range of winds with the middle `middle`, shape (3,) [m/s]. The
+        price of time in the result is zero.
         """
         return cls(
             # Here the kinetic energy is that of the motion over ground, not relative to air of the
@@ -199,8 +199,8 @@ class GradientTable:
         -------
         ndarray or None, shape (n, n_corners, 2)
             Corners of the polygon of each wind, counter-clockwise [N, which is J/m]. The corners
-            lie in the directions of the table and in the mirror images of these directions. None if
-            the gradient zero is forbidden in one of the winds.
+            lie in the directions of the table, which cover half a turn, and in their mirror images.
+            None if a wind forbids the gradient zero.
         """
         momentum = prices.offset[:2] + prices.motion * winds
         size, turned = np.linalg.norm(momentum, axis=1), np.arctan2(*momentum.T[::-1])
@@ -223,20 +223,8 @@ class GradientTable:
 def _last_positive(at: FloatArray, values: FloatArray) -> FloatArray:
     """Return where concave functions fall to zero, by linear interpolation between samples.
 
-    There are n functions in each of m directions, with k samples each. The first sample of each
-    function must be positive. If all its samples are positive, the result is the last argument.
-
-    Parameters
-    ----------
-    at : ndarray, shape (m, k)
-        Arguments in each direction, increasing.
-    values : ndarray, shape (n, m, k)
-        Values of the functions.
-
-    Returns
-    -------
-    ndarray, shape (n, m)
-        Argument at which each function is zero.
+    `at` has the shape (m, k), `values` (n, m, k). The first sample of a function is positive. If
+    all are, its result is the last argument.
     """
     last = np.sum(np.cumprod(values > 0.0, axis=-1), axis=-1, dtype=int) - 1
     after = np.minimum(last + 1, at.shape[1] - 1)
@@ -311,8 +299,7 @@ class Places:
     def _shares(self, place: FloatArray) -> list[tuple[int, float]]:
         """Return the nodes of the triangle of the grid that contains a place, with their weights.
 
-        Only x and y of `place` count [m]. The weights are barycentric, for linear interpolation.
-        Each item is (index of node, weight).
+        The weights are barycentric. Only x and y of `place` [m] count.
         """
         cell, shares = [], []
         for axis, at in zip((self._columns.x, self._columns.y), place, strict=False):
@@ -329,16 +316,15 @@ class Places:
     def rise(self, gradients: FloatArray) -> float:
         """Return the largest rise of a potential from start to goal [J], with a limited gradient.
 
-        The tolerances of the linear program's solver are deducted, so that a bound stays valid. If
-        the solver fails, the result is 0. Implements docs/theory/bound.md, eq. (27).
+        The result allows for the tolerances of the linear program's solver. It is 0 if the solver
+        fails. Implements docs/theory/bound.md, eq. (27).
 
         Parameters
         ----------
         gradients : ndarray, shape (4 * n_cells, n, 2)
-            Vertices of polygons in the plane of the gradient [N], n for each polygon. In each cell
-            of the grid that a flight may enter, the gradient of the potential must lie inside four
-            polygons: one for each corner of the rectangle of winds in the cell (attribute
-            `corners`). The polygons are ordered cell by cell.
+            Polygons with n vertices that bound the gradient [N]. Each cell that a flight may enter
+            has four, one for each of its winds in the attribute `corners`. The gradient must lie
+            inside all four. The polygons are ordered cell by cell.
         """
         cell, normals, most = _common_edges(gradients.reshape(*self.corners.shape[:2], -1, 2))
         i, j = (part[cell] for part in np.nonzero(self._columns.is_open))
@@ -365,23 +351,10 @@ class Places:
 
 
 def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the edges of the intersections of each cell's polygons, as linear inequalities.
+    """Return the edges of the intersection of each cell's polygons: cell index, normal, and limit.
 
-    A gradient q is in the intersection if ``normal . q <= most`` for each of its edges.
-
-    Parameters
-    ----------
-    polygons : ndarray, shape (n_cells, n_winds, n, 2)
-        Corners of the polygons, each of which contains the origin.
-
-    Returns
-    -------
-    cell : ndarray of int, shape (n_edges,)
-        Index of the cell to which each edge belongs.
-    normals : ndarray, shape (n_edges, 2)
-        Outward normals of the edges, of any length.
-    most : ndarray, shape (n_edges,)
-        Largest value of the product ``normal . q``, positive.
+    A gradient q is inside if `normal . q <= limit` for all edges of its cell. `polygons` has the
+    shape (n_cells, n_winds, n, 2).
     """
     import shapely  # noqa: PLC0415  for fields alone
 
@@ -398,21 +371,10 @@ def _common_edges(polygons: FloatArray) -> tuple[FloatArray, FloatArray, FloatAr
 
 
 class _Search:
-    """Calculator of lower bounds on the energy by a potential, approximate and proven.
+    """Calculator of lower bounds on the energy by a potential.
 
     A bound is approximate with sampled values of the function G, and proven with proven lower
-    bounds on G. The module docstring defines the potential and G.
-
-    Parameters
-    ----------
-    pairs : Pairs
-        Pairs of thrust and airspeed of the vehicle.
-    places : Places
-        Places of the mission.
-    durations : tuple of float
-        Least and greatest duration of the flight [s].
-    power : float
-        Power of hover [W]. Tolerances are fractions of this power.
+    bounds on G.
     """
 
     def __init__(
@@ -435,16 +397,8 @@ class _Search:
     def _bound(self, prices: PlacePrices, table: GradientTable) -> float:
         """Return a lower bound on the energy of every flight [J], from a table of the function G.
 
-        The bound is proven if the values in `table` are proven. It is minus infinity if a wind
-        forbids even the gradient zero.
-
-        Parameters
-        ----------
-        prices : PlacePrices
-            Prices (Lagrange multipliers) of momentum, kinetic energy, height and time.
-        table : GradientTable
-            Values of G, computed with `prices`. Only the price of time (attribute `power`) may
-            differ.
+        It is proven if the values in `table` are, and minus infinity if a wind forbids even the
+        gradient zero.
         """
         gradients = table.gradients(prices, self._winds)
         if gradients is None:
@@ -455,14 +409,13 @@ class _Search:
     def with_power(self, prices: PlacePrices) -> PlacePrices | None:
         """Return prices with the price of time that gives the largest approximate lower bound.
 
-        In `prices`, the price of time (`power`) is zero. It stays zero if the duration is free: if
-        the least duration is below half the greatest. The result is None if the prices give no
-        bound.
+        The result is None if the prices give no bound.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         most = float(table.values[:, 0, 0].min())
         if most <= 0.0:
             return None
+        # The duration is free: the price of time stays zero.
         if self._durations[0] < self._durations[1] / 2:
             return prices
         # A larger price of time raises the term of the duration, but allows only smaller gradients
@@ -478,8 +431,7 @@ class _Search:
     def proven(self, prices: PlacePrices) -> float:
         """Return a proven lower bound on the energy for given prices [J].
 
-        The result is minus infinity if even the gradient zero is forbidden in one of the winds of
-        the field.
+        The result is minus infinity if a wind of the field forbids even the gradient zero.
         """
         table = prices.table(self._sampled, self._sizes(prices), self._lengths)
         gradients = table.gradients(prices, self._winds)

@@ -71,8 +71,8 @@ class RunResult(Summarised):
     timings : mapping
         Wall-clock times [s] by name. The times of planning have the names in `Plan.timings`.
         "certify" is the time for the lower bound. "front" is the time for the tables `front` and
-        `aims`. "fly" is the rest of the time from the end of planning to the end of the last
-        flight, without the time of the argument `meanwhile` of `run_scenario`.
+        `aims`. "fly" is the remaining time from the end of planning to the end of the last flight,
+        without the time of `meanwhile` (see `run_scenario`).
     warnings : tuple of str
         Cautions about the results, one line each.
     tuning : Tuning or None
@@ -263,8 +263,8 @@ def run_scenario(
         Reference trajectories that the controller tracks in the simulated flights, for comparison
         with the plan; by default those that the scenario names.
     progress : callable, optional
-        Called at each Ipopt iteration; returning False stops the solve. If a stopped solve has no
-        plan that simulation confirmed, the result has no flights.
+        Called at each Ipopt iteration; returning False stops the solve. If the solve is stopped
+        without a plan that simulation confirms, the result has no flights.
     meanwhile : callable, optional
         Called once during the flights, for instance to import modules of the report.
 
@@ -349,13 +349,7 @@ def _run(
 def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[str]:
     """Yield a warning for each simulated flight that failed, or whose simulation is doubtful.
 
-    Parameters
-    ----------
-    flown : sequence
-        Results of the simulations: flights, or the reason of a failure as a text.
-    flights : sequence of Flight
-        Completed flights. `Flight.doubt` is the reason why a flight is doubtful, such as two
-        integrators with different results; empty if there is no doubt.
+    `flown` holds flights and, as text, reasons of failures.
     """
     yield from (why for why in flown if isinstance(why, str))
     yield from (f"{f.name}: not confirmed: {f.doubt}." for f in flights if f.doubt)
@@ -364,31 +358,13 @@ def _failures(flown: Sequence[object], flights: Sequence[Flight]) -> Iterator[st
 def _often(
     plan: Plan, planner: Planner, tuning: Tuning | None, references: Sequence[Reference]
 ) -> tuple[InTurbulence | None, tuple[str, ...]]:
-    """Simulate many flights of a run in turbulence; return results, or the reason of a failure.
+    """Simulate many flights of a run in turbulence; return them, and the warning about a failure.
 
-    Parameters
-    ----------
-    plan : Plan
-        Plan of the run.
-    planner : Planner
-        Holds the compiled equations of the vehicle.
-    tuning : Tuning or None
-        Tuned autopilot of the run, which is simulated in the same winds; None if no autopilot was
-        tuned.
-    references : sequence of Reference
-        Reference trajectories of the run. If `tuning` is None and the trajectories contain
-        `Reference.CRUISE`, an autopilot with the scenario's first cruise speed is simulated.
-
-    Returns
-    -------
-    InTurbulence or None
-        The flights in turbulence. None if the scenario has no turbulence, if the plan must not be
-        flown (status neither `VERIFIED` nor `USABLE`), or if a simulation in turbulence fails.
-    tuple of str
-        The warning about a failure; empty without failure.
+    The flights are None after a failure, without turbulence, or if the plan must not be flown.
     """
     baseline = plan.scenario.baseline
     cruise = None if tuning is None else tuning.settings
+    # Without a tuned autopilot, one with the first cruise speed flies in the same winds.
     if tuning is None and baseline.cruise_speeds and Reference.CRUISE in references:
         cruise = baseline.cruise_settings(baseline.cruise_speeds[0])
     try:
@@ -402,20 +378,7 @@ def _priced(
 ) -> tuple[Flight, ...]:
     """Return the flights with their owed energy: the energy from the end to the exact goal state.
 
-    If the scenario has a wind forecast, a plan for the actual wind is solved. The costates at its
-    end give the estimates for all flights but the plan's; if the solve fails, these are NaN.
-    Without a forecast, the flights have their estimates already, and are returned unchanged.
-
-    Parameters
-    ----------
-    flights : tuple of Flight
-        Flights of the run, the flight of the plan first.
-    scenario : Scenario
-        Scenario of the run.
-    planner : Planner
-        Solves this plan.
-    progress : callable or None
-        Called at each Ipopt iteration of this solve.
+    An energy that cannot be estimated is NaN.
     """
     # Without a forecast, the costates of the run's plan have already priced all flights.
     if scenario.wind.forecast is None or not flights:
@@ -433,8 +396,7 @@ def _adaptation(
 ) -> pd.DataFrame | None:
     """Simulate a run's mission with and without the controller's adaptation to the wind.
 
-    `optimum` is the flight of the plan. The result is None if `optimum` is None, if the air is
-    calm, or if a simulation fails.
+    The result is None if `optimum` is None, if the air is calm, or if a simulation fails.
     """
     if optimum is None or not set(WIND) <= set(optimum.frame):
         return None

@@ -135,8 +135,8 @@ class CaseOutcome:
         Numeric value of each output column, by column name.
     warm_start : bytes or None
         Packed initial guess of the children, the neighbouring cases that are solved after this
-        case. It is the solution of this case, or after a failure the initial guess of this case
-        itself. None if there is neither.
+        case. If this case was solved, it is the solution. Otherwise it is the guess from which this
+        case started. None if this case has neither.
     seconds : float
         Wall time of the solve, in s.
     worker : str
@@ -257,8 +257,7 @@ _ERROR_DIGITS = 2
 class _Flown:
     """Flight of a sweep's case, from which the output columns of the sweep are computed.
 
-    `plan` is the case's plan, or the base scenario's if all cases fly it. `flight` is a flight of
-    this plan, or along another reference.
+    `plan` is the case's plan, or the base scenario's if all cases fly it.
     """
 
     flight: Flight
@@ -275,8 +274,7 @@ class _Flown:
     def repeats(self) -> float:
         """Number of repetitions of the flight that one battery charge permits.
 
-        The available charge is the initial less the lowest permitted state of charge. NaN if the
-        flight uses no charge.
+        NaN if the flight uses no charge.
         """
         least = self.scenario.limits.state_of_charge_min or 0.0
         usable = self.scenario.battery.initial_state_of_charge - least
@@ -294,8 +292,8 @@ class _Flown:
     def saved(self) -> float:
         """Energy saving of the plan compared with this flight, as a fraction: 1 - P / E.
 
-        P is the energy of the plan, and E that of the flight to the exact goal state. NaN if the
-        flight is not comparable (see `study.comparison.is_comparable`).
+        P is the energy of the plan, E that of the flight to the goal state. NaN if the flight is
+        not comparable.
         """
         if not is_comparable(self.flight):
             return np.nan
@@ -407,24 +405,9 @@ def unknown_column(
 def _read(
     columns: _Columns, flight: Flight, plan: Plan, scenario: Scenario | None = None
 ) -> dict[str, float]:
-    """Compute the output columns of a sweep for the flight of a case.
+    """Return the output columns of a sweep for a case's flight, rounded to nine digits or fewer.
 
-    Parameters
-    ----------
-    columns : mapping
-        For each column its unit, and the function that computes its value.
-    flight : Flight
-        Flight of the case.
-    plan : Plan
-        Plan of the case, or the base scenario's plan if the case flies that plan.
-    scenario : Scenario, optional
-        Scenario of the case; by default the scenario of the plan.
-
-    Returns
-    -------
-    dict
-        Value of each column, by name, rounded to nine digits or fewer; NaN if it is undefined for
-        the flight.
+    A column that is undefined for the flight is NaN.
     """
     flown = _Flown(flight=flight, plan=plan, scenario=scenario or plan.scenario)
     return {name: _meaningful(name, read(flown)) for name, (_, read) in columns.items()}
@@ -505,7 +488,7 @@ def _optimise(task: CaseTask, scenario: Scenario) -> CaseResult:
 
 
 def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
-    """Simulate a controller that tracks the base scenario's plan in the scenario of a sweep's case.
+    """Simulate a controller that tracks the base scenario's plan in the scenario of a case.
 
     The case fails if the plan is not verified, or if two integrators disagree on the flight.
     """
@@ -526,8 +509,7 @@ def _fly_base_plan(task: CaseTask, scenario: Scenario) -> CaseResult:
 class _Bench:
     """Planner and base scenario's plan that one worker of a sweep keeps from case to case.
 
-    The planner keeps the compiled model for later cases. While a thread uses the planner or the
-    plan, the thread must hold the mutex `lock`.
+    A thread that uses the planner or the plan must hold the mutex `lock`.
     """
 
     lock: threading.Lock = field(default_factory=threading.Lock)
@@ -535,11 +517,9 @@ class _Bench:
     _base_plans: dict[str, Plan] = field(default_factory=dict)
 
     def plan(self, scenario: Scenario, warm_start: bytes | None) -> Plan:
-        """Plan a case's flight, starting from the solution of a neighbouring case (its parent).
+        """Plan a case's flight, starting from the packed solution of its parent if there is one.
 
-        `warm_start` is the packed solution of the parent. If it is None or damaged, or if the plan
-        solved from it is not verified, a new planner replaces `planner`, and solves the case from
-        its own initial guess.
+        If this gives no verified plan, a new planner solves the case from its own initial guess.
         """
         parent = unpack(warm_start) if warm_start is not None else None
         if parent is not None:
@@ -550,16 +530,9 @@ class _Bench:
         return self.planner.solve(scenario)
 
     def base_plan(self, base: Scenario, text: str) -> Plan:
-        """Return the plan of the sweep's base scenario, solved at the first call and cached.
+        """Return the plan of the sweep's base scenario, and keep it for the next call.
 
-        The cache holds the plan of one base scenario only, the last.
-
-        Parameters
-        ----------
-        base : Scenario
-            Base scenario of the sweep.
-        text : str
-            The base scenario as JSON text, the key of the cache.
+        `text` is the base scenario as JSON text.
         """
         if text not in self._base_plans:
             self._base_plans = {text: self.plan(base, None)}

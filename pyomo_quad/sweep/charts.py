@@ -43,7 +43,7 @@ def draw_front(curves: Sequence[Curve], quantity: Quantity, tried: Sequence[floa
     """Draw an output quantity against the mission's duration, and its Pareto front.
 
     A case is on the front of its curve if every shorter case has a larger quantity. A star marks
-    the best duration.
+    the duration with the least quantity.
 
     Parameters
     ----------
@@ -122,8 +122,7 @@ def draw_curves(curves: Sequence[Curve], field: str, quantities: Sequence[Quanti
 def _pairs(count: int, **layout: Any) -> tuple[Figure, np.ndarray]:  # noqa: ANN401
     """Make a figure with `count` panels in two columns; hide an unused last panel.
 
-    A single panel has one column. `layout` is passed to `panel_grid`. The panels have the shape
-    (rows, columns).
+    A single panel has one column. `layout` is passed to `panel_grid`.
     """
     columns = min(2, count)
     figure, panels = panel_grid(ceil(count / columns), columns, **layout)
@@ -137,8 +136,7 @@ def _plot(
 ) -> None:
     """Draw one quantity of a sweep against another into a panel, with a marker at each case.
 
-    `of` holds the quantities on the horizontal and on the vertical axis. `look` holds further
-    arguments of `Axes.plot`.
+    `of` holds the quantities on the horizontal and on the vertical axis.
     """
     over, quantity = of
     marked = style.line | {"marker": style.marker, "markersize": 3.0}
@@ -165,25 +163,12 @@ def _name_best(
 ) -> None:
     """Print a curve's name, best mission duration and least quantity as a line of text in a panel.
 
-    "(at an edge)" is added if the next shorter or the next longer duration has no finished case.
-
-    Parameters
-    ----------
-    axes : Axes
-        Panel in which the text is printed.
-    curve : Curve
-        Finished cases of the curve, at most one for each mission duration.
-    quantity : Quantity
-        Output column that is drawn.
-    tried : sequence of float
-        All durations of the sweep, in s, including those of failed cases.
-    place : tuple of (LineStyle, int)
-        Style of the curve, and number of the text's line, from 0 at the top. The style gives the
-        colour of the text.
+    `tried` has all durations of the sweep [s]. `place` is the curve's style and the line's number.
     """
     style, row = place
     best = best_along(curve, DURATION_FIELD, quantity.column, tried)
     said = f"{setting(best.at)} s, {number(best.value * quantity.scale)} {quantity.unit}"
+    # At an edge, the next shorter or the next longer duration has no finished case.
     edge = "" if best.is_inside else " (at an edge)"
     axes.annotate(
         f"{settings_name(curve.fixed)}: {said}{edge}",
@@ -313,13 +298,13 @@ def draw_wind_rose(curves: Sequence[Curve], field: str, quantity: Quantity) -> F
 def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, float]:
     """Return the least and the greatest value of a quantity over all curves of a wind rose.
 
-    Both are in the quantity's printed unit.
+    The values are in the quantity's printed unit.
 
     Parameters
     ----------
     curves : sequence of Curve
-        Finished cases over the wind direction. There is one curve for each combination of values
-        of the other fields that vary in the sweep.
+        Finished cases over the wind direction. There is one curve for each combination of values of
+        the other fields that vary in the sweep.
     quantity : Quantity
         Output column.
     """
@@ -330,8 +315,7 @@ def rose_range(curves: Sequence[Curve], quantity: Quantity) -> tuple[float, floa
 def _closed(rows: pd.DataFrame, field: str) -> pd.DataFrame:
     """Repeat the first direction's row at the end, so that the curve of a wind rose is closed.
 
-    `rows` are sorted by `field`, the direction [rad]. If the gap from the last direction round to
-    the first exceeds 1.5 times the greatest step, the curve stays open.
+    The curve stays open if this adds a step of more than 1.5 times the greatest step.
     """
     directions = rows[field].to_numpy(dtype=float)
     steps = np.diff(directions)
@@ -404,23 +388,8 @@ def _draw_bar(
 ) -> None:
     """Draw one horizontal bar of a tornado chart, in two colours: below and above the base value.
 
-    The base value is the quantity in the central case of the sweep.
-
-    Parameters
-    ----------
-    axes : Axes
-        Panel to draw into.
-    row : int
-        Number of the bar, from 0 at the top; the bar's vertical coordinate.
-    ends : tuple of float
-        Least and greatest value of the quantity, in the unit of its column.
-    reached : tuple of str
-        Texts to print at the lower and at the upper end of the bar. Each text is a value of the
-        scenario field or a case, such as "case 3".
-    base : float
-        Base value, in the printed unit; NaN if the central case failed.
-    quantity : Quantity
-        Output column to draw.
+    `ends` are in the unit of the column, `base` in the printed unit or NaN. The texts `reached`
+    stand at the ends.
     """
     low, high = (end * quantity.scale for end in ends)
     split = low if isnan(base) else min(max(base, low), high)

@@ -77,9 +77,7 @@ def _silence_dask() -> None:
 class _Threads:
     """Counter of the worker threads of a Dask cluster, each of which solves one case at a time.
 
-    The counter asks the cluster at most once in `WATCH_SECONDS`, and otherwise returns the last
-    number. `address` is for error messages. The method `count` raises `ClusterError` if the cluster
-    no longer answers.
+    The method `count` raises `ClusterError` if the cluster no longer answers.
     """
 
     def __init__(self, client: "Client", address: str) -> None:
@@ -89,6 +87,7 @@ class _Threads:
         self._counted_at = -WATCH_SECONDS
 
     def count(self) -> int:
+        # Ask the cluster at most once in this time; otherwise return the last number.
         if time.monotonic() - self._counted_at >= WATCH_SECONDS:
             gone = ClusterError(f"Dask cluster {self._address}: no longer answers.")
             if self._client.status != "running":

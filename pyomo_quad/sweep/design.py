@@ -343,14 +343,14 @@ class SweepDesign:
     def refuse_impossible(self) -> None:
         """Raise an error if the design cannot stem from a study file.
 
-        If so, the result store is damaged.
+        A result store with such a design is damaged.
 
         Raises
         ------
         ValueError
             If a dimension has missing or wrong values, there are no dimensions or too many cases, a
-            field varies twice, an output column is unknown, or `report_on` is empty. Also if the
-            base scenario is invalid; only then the message has several lines.
+            field varies twice, an output column is unknown, `report_on` is empty, or the base
+            scenario is invalid. Only in the last case the message has several lines.
         """
         Scenario.model_validate(self.base)
         if not self.dimensions or not all(one.is_sound for one in self.dimensions):
@@ -457,8 +457,7 @@ class Case:
         Value of each field that varies, by its dotted path.
     parent : int or None
         Position of the neighbouring case whose solution is the initial guess of this case. None for
-        the case that is solved first. With the sweep's task `FLY_PLAN` only the base scenario's
-        flight is planned, and the parent is None for all cases.
+        the case that is solved first, and for all cases of the task `FLY_PLAN`.
     """
 
     position: int

@@ -61,7 +61,7 @@ def sweep_drawings(results: SweepResults) -> tuple[Drawing, ...]:
 class _Figures:
     """Generators of the figures of a parameter sweep, one method for each kind of figure.
 
-    `results` are the cases of the sweep, and `quantities` the output columns that the report draws.
+    `quantities` are the output columns that the report draws.
     """
 
     results: SweepResults
@@ -166,15 +166,9 @@ class _Figures:
             )
 
     def _curves_along(self, field: str) -> tuple[list[Curve], str]:
-        """Select the curves that a chart against a scenario field shows.
+        """Select at most `_MOST_CURVES` curves along a scenario field, spread evenly, for a chart.
 
-        The cases of a curve differ only in `field`. At most `_MOST_CURVES` curves are selected,
-        spread evenly.
-
-        Returns
-        -------
-        tuple of (list of Curve, str)
-            The curves, and a text for the caption: how many curves and cases are not drawn.
+        The text for the caption says how many curves and cases are not drawn.
         """
         curves = self.results.curves_along(field)
         count = len(curves)
@@ -205,7 +199,7 @@ class _Figures:
 def _worst_direction(curves: Sequence[Curve], quantity: Quantity) -> str:
     """Return a text for a wind rose's caption: the value at the centre, and the worst direction.
 
-    The centre is the least value over all curves. `Quantity.worst_row` defines the worst direction.
+    The centre is the least value over all curves.
     """
     least, _ = charts.rose_range(curves, quantity)
     worst_rows = [quantity.worst_row(curve.rows) for curve in curves]

@@ -92,20 +92,9 @@ def write_sweep_report(
 
 
 def _outcome(results: SweepResults) -> dict[str, Any]:
-    """Compute the variables of the report's template that need at least one finished case.
+    """Return the variables of the report's template that need at least one finished case.
 
-    Returns
-    -------
-    dict
-        Value of each variable, by its name:
-
-        - ``arrivals``: for each kind of controlled flight, the cases that missed the goal;
-        - ``arrival_m``: distance from the goal [m] above which a flight has missed the goal;
-        - ``extremes``: quantiles of each output column that the report draws;
-        - ``best_of``: printed name of the first of these output columns;
-        - ``best_durations``: mission durations at which the first output column is least;
-        - ``sensitivities``: ranges of output columns as scenario fields vary, from
-          `_sensitivities`.
+    `best_of` and `best_durations` belong to the first output column that the report draws.
     """
     quantities = [output_quantity(column) for column in results.design.report_on]
     spans = [one.of(results.finished).dropna().quantile(_QUANTILES) for one in quantities]
@@ -120,14 +109,9 @@ def _outcome(results: SweepResults) -> dict[str, Any]:
 
 
 def _reasons(failed: pd.DataFrame) -> list[tuple[str, list[Any]]]:
-    """Group the failed cases of a sweep by reason, the most frequent reason first.
+    """Group failed and lost cases of a sweep by reason, the most frequent reason first.
 
-    `failed` has the rows of the result table whose case failed or was lost.
-
-    Returns
-    -------
-    list of (str, list)
-        At most ten reasons, each with the row numbers of its cases.
+    Each of at most ten reasons has the row numbers of its cases.
     """
     grouped = failed.groupby(REASON_COLUMN)[CASE_COLUMN]
     reasons = sorted(grouped, key=lambda pair: len(pair[1]), reverse=True)
@@ -152,24 +136,7 @@ def _axis(dimension: Dimension, path: str) -> dict[str, Any]:
 def _arrivals(results: SweepResults) -> Iterator[dict[str, Any]]:
     """Yield, for each kind of controlled flight, the cases in which the flight missed the goal.
 
-    The kinds differ in the tracked trajectory: the base scenario's plan, or a reference of the
-    study.
-
-    Parameters
-    ----------
-    results : SweepResults
-        Result table of the sweep.
-
-    Yields
-    ------
-    dict
-        Item for one kind of flight:
-
-        - ``name``: printed name of the kind of flight;
-        - ``count``: number of flights of this kind;
-        - ``away``: row numbers of the cases farther from the goal than `ARRIVAL_DISTANCE_M`;
-        - ``worst_m``: largest final distance from the goal in these cases [m]; NaN without such
-          cases.
+    `away` has their row numbers, `worst_m` their largest distance from the goal [m] or NaN.
     """
     rows = results.finished
     for column in map(str, rows.columns):
@@ -191,24 +158,7 @@ def _sensitivities(
 ) -> Iterator[dict[str, Any]]:
     """Yield the ranges of quantities as scenario fields vary, for the report's template.
 
-    A quantity with fewer than two ranges is left out. Fields that are not numeric have no range.
-
-    Parameters
-    ----------
-    results : SweepResults
-        Result table of the sweep.
-    quantities : sequence of Quantity
-        Output columns that the report draws.
-
-    Yields
-    ------
-    dict
-        Item for one quantity:
-
-        - ``label`` and ``scale``: printed name of the quantity, and factor to its printed unit;
-        - ``centre``: printed name of the sweep's central case;
-        - ``spread``: range of the quantity over all cases;
-        - ``found``: range along each numeric field, as the class `Sensitivity` defines it.
+    `spread` is the range over all cases, and `found` the range along each numeric field.
     """
     for quantity in quantities:
         found = results.sensitivities(quantity.column)
@@ -226,26 +176,8 @@ def _sensitivities(
 def _best_durations(results: SweepResults, quantity: Quantity) -> Iterator[dict[str, Any]]:
     """Yield the mission duration at which a quantity is least, for the report's template.
 
-    There is one item for each combination of values of the other fields that vary. If the sweep
-    does not vary the duration, there are no items.
-
-    Parameters
-    ----------
-    results : SweepResults
-        Result table of the sweep.
-    quantity : Quantity
-        Output column to minimise.
-
-    Yields
-    ------
-    dict
-        Item for one combination of values:
-
-        - ``fixed``: values of the other fields;
-        - ``best``: duration at which the quantity is least, and the quantity at this duration;
-        - ``scale``: factor to the printed unit of the quantity;
-        - ``at_base``: quantity at the base scenario's duration; NaN if no such case finished;
-        - ``shortest``: shortest duration that was solved.
+    There is one item for each combination of the other fields. `at_base`, the quantity at the base
+    scenario's duration, may be NaN.
     """
     along = results.dimension_of(DURATION_FIELD)
     if along is None:

@@ -27,7 +27,7 @@ class SweepListener(Protocol):
     """
 
     def start(self, total: int, already_ended: int) -> None:
-        """Receive the numbers of all cases, and of cases that ended earlier, without lost cases."""
+        """Receive the numbers of all cases and of those that finished or failed in earlier runs."""
 
     def case_ended(self, case: Case, outcome: CaseOutcome, done: int) -> None:
         """Receive a case whose result was stored.
@@ -91,8 +91,7 @@ class Sweep:
         Base scenario of the design.
     store : ResultStore
         Result store, open for writing. Cases that finished or failed in an earlier run are not
-        solved again. Cases that were lost because their worker died are solved again. Their
-        descendants in the tree of warm starts are then solved again, too.
+        solved again. Cases that were lost because their worker died, and their descendants, are.
     listener : SweepListener
         Object that receives each row after the row was stored.
     solver : str, optional
@@ -195,8 +194,7 @@ class Sweep:
     def _next_of(self, cases: list[Case]) -> list[Case]:
         """Return the cases that can be solved next: given cases, or descendants of given cases.
 
-        Each case that has ended is replaced by its children, and each child that has ended by its
-        own children.
+        A case that has ended is replaced by its children, and so on.
         """
         # A resumed sweep continues with cases whose parents ended in an earlier run.
         found, pending = [], list(reversed(cases))
@@ -223,8 +221,7 @@ class Sweep:
     def _commit(self, outcome: CaseOutcome) -> list[Case]:
         """Store the row of a case that ended, and return the cases that can be solved now.
 
-        The stored solution of the case's parent is deleted when all children of the parent are
-        finished or failed. It is kept if a child is lost, that is, if its worker died.
+        When the last child of a case is finished or failed, the case's solution is deleted.
         """
         case = self._cases[outcome.position]
         is_settled = outcome.status is not CaseStatus.LOST
@@ -243,11 +240,9 @@ class Sweep:
         return self._next_of(self._children_of(case))
 
     def _forget_descendants(self, case: Case) -> list[str]:
-        """Invalidate the results of a case's descendants if an earlier run lost the case.
+        """Mark the descendants of a case that an earlier run lost as not solved; return their keys.
 
-        A run loses a case if its worker dies. Return the keys of the descendants (children, their
-        children and so on); the caller deletes their rows. If no earlier run lost the case, return
-        no keys.
+        If no earlier run lost the case, return no keys. The caller deletes the rows.
         """
         if case.key not in self._lost_before:
             return []
@@ -347,9 +342,9 @@ def estimate_sweep(
 ) -> SweepEstimate:
     """Estimate the time that a sweep still needs, without storing any result.
 
-    The time per case is the mean over the stored results. If there are none, two neighbouring cases
-    are solved, and the time of the second is taken. If no case has a neighbour as initial guess,
-    only the first case is solved.
+    The time per case is the mean over the stored results. Without stored results, one case is
+    solved, and then a neighbour that starts from its solution. The time of the neighbour counts. If
+    no case starts from a neighbour, the time of the first case counts.
 
     Parameters
     ----------

@@ -1,12 +1,11 @@
 """Statistics of a parameter sweep: Pareto fronts, best values, sensitivities and ranges.
 
-A quantity is an output column of the sweep's result table, such as the energy. A dimension is one
-scenario field, or several fields that change together. A sweep has a case for each combination of
-the values of its dimensions.
+A quantity is an output column, such as the energy. A dimension is one scenario field, or several
+fields that change together.
 
 Sensitivities and heat maps vary one or two dimensions, and keep the other fields as in the central
-case. The central case has the field values of the base scenario. If the sweep lacks a field's base
-value, the central case has the middle of the field's values.
+case. The central case has the field values of the base scenario. A field whose base value is not in
+the sweep has the middle of its values.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -49,11 +48,10 @@ class Curve:
 class Sensitivity:
     """Range of an output quantity as one scenario field varies alone from the central case.
 
-    - If the field has given values: at each value, the quantity is averaged over the draws of the
-      random fields. The range is that of the averages.
-    - If the field has random values: a linear function of all random fields is fitted by least
-      squares. The ends of the range are its values at the 5 % and 95 % quantiles of the field's
-      draws, with the other random fields at their means.
+    If the field has given values, the ends are the least and the greatest mean over the draws of
+    the random fields. If the field has random values, the ends are values of a linear least-squares
+    fit over all random fields: at the 5 % and 95 % quantiles of the field, with the others at their
+    means.
 
     Attributes
     ----------
@@ -107,7 +105,8 @@ class Spread:
     def note(self) -> str:
         """Part of a caption: how much of the quantity's variance the random fields explain.
 
-        The text begins with a semicolon. It is empty if `linear_share` is NaN.
+        The text continues a caption and begins with a semicolon. It is empty if `linear_share` is
+        NaN.
         """
         if isnan(self.linear_share):
             return ""
@@ -128,7 +127,8 @@ class Best:
     below, above : float or None
         Next smaller and next larger value of the field in the sweep; None if there is none.
     is_below_flown, is_above_flown : bool
-        Whether the case at `below` finished, and whether the case at `above` finished.
+        Whether the case with the value `below` finished, and whether the case with the value
+        `above` finished.
     """
 
     at: float
@@ -403,8 +403,8 @@ def best_along(curve: Curve, field: str, quantity: str, tried: Sequence[float]) 
 class _Plane:
     """Linear least-squares fit of a quantity over the random fields of a sweep.
 
-    The fit is ``middle + slopes @ (values - centre)``, where ``values`` are those of ``fields`` and
-    ``centre`` their means over the cases. ``explained`` is the coefficient of determination.
+    The fit is ``middle + slopes @ (values - centre)``, and ``explained`` its coefficient of
+    determination.
     """
 
     fields: tuple[str, ...]

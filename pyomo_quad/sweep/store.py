@@ -158,7 +158,8 @@ def opened_to_read(file: Path) -> Iterator[sqlite3.Connection]:
 def create_if_new(connection: sqlite3.Connection, notes: Mapping[str, str]) -> None:
     """Create the tables of a result store in an empty database.
 
-    If the database already has tables, the function only checks that the database is writable.
+    If the database already has tables, no table is created. The function then only checks that the
+    database is writable.
 
     Parameters
     ----------
@@ -586,9 +587,8 @@ class ResultStore:
         Returns
         -------
         bytes or None
-            The solution of the case, packed into bytes. For a case that could not be solved, it is
-            the solution from which this case was started. None if the store has no warm start of
-            the case.
+            The solution of the case, packed into bytes. For a failed case, it is the solution from
+            which the case was started. None if the store has no warm start of the case.
 
         Raises
         ------
@@ -643,7 +643,8 @@ def results_frame(store: ResultStore) -> pd.DataFrame:
     -------
     DataFrame
         Columns: number of the case (from 0), the fields that vary, status, reason of a failure, and
-        the output columns that the study keeps (all that have values, if it names none) or reports.
+        the output columns that the study keeps or reports. If it names none to keep, all columns
+        with values are kept.
 
     Examples
     --------

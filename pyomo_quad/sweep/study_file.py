@@ -64,8 +64,8 @@ class Sampling(Part):
     def draw(self, axis_count: int) -> np.ndarray:
         """Draw random points in the unit cube, one for each sample.
 
-        The value of a field is the quantile of its distribution at the point's coordinate. Each
-        call gives the same points, because the generator starts from `seed`. With the method
+        Each coordinate is a probability: the field takes the quantile of its distribution there.
+        Each call gives the same points, because the generator starts from `seed`. With the method
         ``random``, a larger number of samples keeps the previous points; a Latin hypercube changes
         all.
 
@@ -381,20 +381,7 @@ def _dimensions(study: Study, base: Scenario) -> Iterator[Dimension]:
 def _as_field_type(value: object, tables: Mapping[str, Any], path: str) -> Any:  # noqa: ANN401
     """Convert a number to its field's type, so that 10.0 is accepted for an integer field.
 
-    Parameters
-    ----------
-    value : object
-        Value of an axis; anything but a number is returned unchanged.
-    tables : mapping
-        The base scenario as nested mappings.
-    path : str
-        Dotted path of the field.
-
-    Returns
-    -------
-    object
-        The number as float or int, like the field's value in the base scenario. If an exact
-        conversion is impossible, the given value.
+    A value without an exact conversion is returned unchanged.
     """
     present = value_at(tables, *(parse_path(path) or ()))
     if isinstance(present, bool) or isinstance(value, bool):

@@ -1,9 +1,9 @@
 """Workers that solve the cases of a sweep: processes of this machine, or a Dask cluster.
 
 Processes and cluster both offer an Executor of `concurrent.futures`. If a worker dies, for example
-because it runs out of memory, the executor is broken, and `Workers` starts a new one. Each case
-that was running may have killed the worker. All these cases are solved again, one at a time. A case
-during which a worker dies again is given up.
+because it runs out of memory, the executor is broken, and `Workers` starts a new one. Any running
+case may have killed the worker, so all of them are solved again, one at a time. A case is given up
+if a worker dies again while the case runs.
 """
 
 from collections import deque
@@ -165,8 +165,7 @@ class Workers:
     def _suspect_all(self) -> None:
         """Queue all running cases of a broken executor, to be solved again one at a time.
 
-        An executor is broken if a worker process died. Any of the running cases may have killed the
-        process.
+        Any of them may have killed the worker process.
         """
         for future, task in list(self._under_way.items()):
             if not future.done() or future.exception() is not None:

@@ -22,7 +22,7 @@ class Estimate:
     value : float
         Best value, in SI units.
     low, high : float
-        Ends of the range of uncertainty. The property of most vehicles of this size is in this
+        Ends of the range of uncertainty. For most vehicles of this size, the property lies in this
         range. For a given or computed value, `low` and `high` equal the value.
     kind : Kind
         Whether the value was given, computed, estimated or measured.

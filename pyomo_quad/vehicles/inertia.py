@@ -37,7 +37,7 @@ class MassModel:
 
     @property
     def empty(self) -> float:
-        """Mass without the battery [kg], assumed to be at least half of the total mass."""
+        """Mass without the battery [kg], but never less than half of the total mass."""
         return max(self.mass - self.pack_mass, 0.5 * self.mass)
 
     @property

@@ -214,14 +214,7 @@ def estimate_vehicle(known: Known) -> EstimatedVehicle:
 def _ranged(field: str, value: float, said: str) -> Estimate:
     """Return an estimated value with the relative uncertainty that is typical of its field.
 
-    Parameters
-    ----------
-    field : str
-        Field of the vehicle, a key of the table of ranges `_RANGES`.
-    value : float
-        Best value, in SI units.
-    said : str
-        Description of the estimate.
+    `field` is a key of the table of ranges `_RANGES`.
     """
     return estimated(value, said, *_RANGES[field])
 
@@ -290,27 +283,10 @@ def _motor(known: Known, pack: Pack, hover: RotorHover, model: MassModel) -> dic
 
 
 def _powers(known: Known, hover: RotorHover) -> tuple[dict[str, Estimate], float]:
-    """Return the parameters of the vehicle's power model, and its estimated hover power.
+    """Return the parameters of the power model `momentum`, and the estimated hover power [W].
 
-    The power model is `momentum`, which uses momentum theory.
-
-    Parameters
-    ----------
-    known : Known
-        The owner's data. A hover power that the owner has measured scales the parameters.
-    hover : RotorHover
-        Speed and powers of one rotor in hover, which are estimates.
-
-    Returns
-    -------
-    tuple of (dict, float)
-        Estimate of each parameter, by the field's name in the scenario's table `vehicle`; and the
-        hover power [W] from the estimates alone, even if the owner has measured it.
-
-    Raises
-    ------
-    ScenarioError
-        If the measured hover power is less than electronics and ideal rotors take.
+    A measured hover power scales the parameters. ScenarioError is raised if it is less than
+    electronics and ideal rotors take.
     """
     electronics = _ELECTRONICS_W * (known.mass / _AT_KG) ** _ELECTRONICS_EXPONENT
     loss = 1 / hover.drive_efficiency
@@ -407,8 +383,7 @@ def _limits(pack: Pack, hover: RotorHover, fields: Mapping[str, Estimate]) -> di
 def _positions(rotors: int, arm: float) -> tuple[tuple[float, float], ...] | None:
     """Return the body coordinates x, y [m] of six or eight rotors, equally spaced on a circle.
 
-    `arm` is the radius of the circle [m]. The result is None for four rotors. Any number of rotors
-    but 4, 6 or 8 raises ScenarioError.
+    The result is None for four rotors. Any other number raises ScenarioError.
     """
     if rotors not in ROTOR_COUNTS:
         raise ScenarioError(

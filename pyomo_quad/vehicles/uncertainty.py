@@ -43,9 +43,8 @@ class Cause:
     measurement : str
         The measurement that would determine the quantity.
     low, high : ndarray, shape (len(AIRSPEEDS),)
-        Power of level flight [W] with the quantity at the lower end and at the upper end of its
-        range of uncertainty. There is one power for each airspeed in the constant `AIRSPEEDS`
-        [m/s]. The power is NaN at airspeeds that the vehicle cannot hold.
+        Power of level flight [W] with the quantity at the lower and at the upper end of its range,
+        for each airspeed in `AIRSPEEDS` [m/s]; NaN at airspeeds that the vehicle cannot hold.
     """
 
     name: str
@@ -129,15 +128,8 @@ def _together(changes: Sequence[FloatArray]) -> FloatArray:
 def _causes(vehicle: EstimatedVehicle) -> list[tuple[str, str, Numbers, Numbers]]:
     """Return the uncertain quantities that affect a vehicle's power, with the ends of their ranges.
 
-    `vehicle` is the estimated vehicle.
-
-    Returns
-    -------
-    list of (str, str, Numbers, Numbers)
-        For each quantity: its name, the measurement that would determine it, and two mappings. The
-        mappings give the field values at the lower and at the upper end of the quantity's range.
-        Their keys are names of fields in the scenario's table `vehicle`. They contain only the
-        fields that depend on the quantity.
+    The texts are the quantity and the measurement that would determine it. Each end maps affected
+    fields of the table `vehicle` to values.
     """
     value = {name: one.value for name, one in vehicle.fields.items()}
     ends = {name: (one.low, one.high) for name, one in vehicle.fields.items()}

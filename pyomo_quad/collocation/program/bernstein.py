@@ -1,10 +1,9 @@
 """Bounds on variables between the collocation points, through Bernstein coefficients.
 
 A polynomial lies in the convex hull of its coefficients in Bernstein's basis [1]_. If all
-coefficients satisfy a bound, the whole polynomial therefore satisfies the bound too. The converse
-is false: a polynomial within the bound may have a coefficient beyond it. Bounds on the coefficients
-therefore restrict the solution more than necessary. The cost of this restriction follows from the
-multipliers of these bounds: see docs/theory/transcription.md, eqs. (6) and (7).
+coefficients satisfy a bound, the whole polynomial satisfies it, too. The converse is false, so that
+bounds on the coefficients restrict the solution more than necessary. For the cost, see
+docs/theory/transcription.md, eqs. (6) and (7).
 
 .. [1] Farouki, "The Bernstein polynomial basis: a centennial retrospective", Computer Aided
    Geometric Design 29 (2012).
@@ -39,17 +38,17 @@ _NEAR = 0.45
 class BernsteinRule:
     """Linear maps from a variable's values in an element to its Bernstein coefficients.
 
-    The maps leave out coefficients that equal a value of the variable: the first and the last of a
-    state, the last of an algebraic variable.
+    Coefficients that equal a value of the variable are left out: the first and the last of a state,
+    and the last of an algebraic variable.
 
     Attributes
     ----------
     coefficients : ndarray, shape (n_coefficients, n_values)
         Matrix from the variable's values in the element to the coefficients.
     values : ndarray, shape (n_coefficients, n_values)
-        Matrix from the variable's values in the element to the values of its polynomial at the
-        abscissae of the coefficients. The abscissa of coefficient k is k / (n_values - 1); here k
-        counts all coefficients from 0, including those that are left out.
+        Matrix from the variable's values in the element to its polynomial's values at the abscissae
+        k / (n_values - 1). Here k counts all coefficients from 0, including those that are left
+        out.
     """
 
     coefficients: FloatArray
@@ -84,8 +83,7 @@ def bernstein_rule(degree: int, *, is_state: bool) -> BernsteinRule:
 def _basis(places: FloatArray, order: int) -> FloatArray:
     """Evaluate the Bernstein basis polynomials of degree `order` at points from 0 to 1.
 
-    The result has the shape (n_places, order + 1), with one row per entry of `places` and one
-    column per basis polynomial.
+    The result has one row per point, and one column per basis polynomial.
     """
     k, t = np.arange(order + 1), places[:, None]
     return np.asarray(comb(order, k) * t**k * (1.0 - t) ** (order - k))
@@ -137,9 +135,8 @@ class BernsteinRows:
     def restraint(self, result: IpoptResult, gap: float, elements: int) -> Restraint:
         """Estimate by how much the bounds on Bernstein coefficients raise the objective.
 
-        A coefficient may exceed a bound where its polynomial does not. The estimate is multiplier *
-        (coefficient - value), with the polynomial's value at the coefficient's abscissa. Negative
-        products count as 0. See docs/theory/transcription.md, eq. (7).
+        The estimate is the sum of max(multiplier * (coefficient - value), 0), with the polynomial's
+        value at the coefficient's abscissa. See docs/theory/transcription.md, eq. (7).
 
         Parameters
         ----------
@@ -170,10 +167,8 @@ class Restraint:
     Attributes
     ----------
     cost : ndarray, shape (n_elements,)
-        First-order estimate of the increase that the bounds in each element cause, in the unit of
-        the objective. The bounds apply to the Bernstein coefficients of the variables' polynomials.
-        The objective increases because these bounds are stricter than bounds on the polynomials
-        themselves.
+        First-order estimate of the increase by the bounds in each element, in the unit of the
+        objective. Bounds on Bernstein coefficients are stricter than bounds on the polynomials.
     gap : float
         Complementarity gap that Ipopt's barrier leaves at the solution, in the unit of the
         objective: the sum of multipliers times slacks over all inequalities.
@@ -235,8 +230,7 @@ def bounded(
 def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
     """Return the lower and the upper bound of one variable in one element.
 
-    `columns` are the positions of the variable's unknowns in the element. A bound that differs
-    between these unknowns is infinite in the result.
+    A bound that differs between the unknowns at `columns` is infinite in the result.
     """
     low, high = bounds.lower[columns], bounds.upper[columns]
     return (
@@ -246,11 +240,10 @@ def _limits(bounds: Bounds, columns: NDArray[np.intp]) -> tuple[float, float]:
 
 
 def _is_near(values: FloatArray, low: float, high: float) -> bool:
-    """Return whether a variable's trajectory in one element is near one of its bounds.
+    """Return whether a Bernstein coefficient of a variable violates a bound or is near it.
 
-    `values` are the variable's Bernstein coefficients in the element. The result is True if one of
-    them violates a bound, or is closer to it than a margin. The margin is 0.45 (high - low), or
-    0.45 max(1, abs(bound)) if there is only one bound.
+    It is near at a distance below 0.45 (high - low), or 0.45 max(1, abs(bound)) if there is only
+    one bound.
     """
     sides = [side for side in (low, high) if np.isfinite(side)]
     if not sides:
@@ -262,12 +255,7 @@ def _is_near(values: FloatArray, low: float, high: float) -> bool:
 def _assembled(parts: list[tuple[NDArray[np.intp], FloatArray]], width: int) -> csr_array:
     """Assemble a sparse matrix from dense blocks of rows, one block below the other.
 
-    Parameters
-    ----------
-    parts : list of (ndarray of int, ndarray)
-        For each block: the positions of its columns in the assembled matrix, and the block itself.
-    width : int
-        Number of columns of the assembled matrix.
+    A part is (positions of the block's columns in the matrix, block).
     """
     data = np.concatenate([block.ravel() for _, block in parts])
     columns = np.concatenate([np.tile(at, len(block)) for at, block in parts])

@@ -63,9 +63,8 @@ def bounds_of(
     program : Transcription
         Nonlinear program on one mesh, with parameter values.
     start_data : ndarray, shape (1 + n_jumps, n_data)
-        Parameter values at times that are not collocation points: one row for the start of the
-        horizon, then one row for the time just after each jump of a parameter. The columns are the
-        fraction of the horizon, the time-dependent parameters and the constant parameters.
+        One row for the start of the horizon, then one for the time just after each jump of a
+        parameter. Columns: fraction of the horizon, time-dependent and constant parameters.
     fixed : dict
         Values of variables fixed at declared times (members of the continuous set), by (variable
         name, fraction of the horizon).
@@ -112,9 +111,8 @@ def limits_of(
     program : Transcription
         Nonlinear program on one mesh, with parameter values.
     start_data : ndarray, shape (1 + n_jumps, n_data)
-        Parameter values at times that are not collocation points: one row for the start of the
-        horizon, then one row for the time just after each jump of a parameter. The columns are the
-        fraction of the horizon, the time-dependent parameters and the constant parameters.
+        One row for the start of the horizon, then one for the time just after each jump of a
+        parameter. Columns: fraction of the horizon, time-dependent and constant parameters.
     fixed : dict
         Values of variables fixed at declared times (members of the continuous set), by (variable
         name, fraction of the horizon).
@@ -148,8 +146,7 @@ def _rows(program: Transcription) -> tuple[FloatArray, FloatArray]:
 def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states and algebraic variables at all nodes, as `Limit` objects.
 
-    A constraint over time on a single variable counts as a bound of that variable. For
-    `start_data`, see `bounds_of`.
+    A constraint over time on a single variable counts as a bound of that variable.
     """
     layout, compiled = program.layout, program.compiled
     mapped = MappedFunction(compiled.limits_over_time, layout.points + 1)
@@ -166,8 +163,7 @@ def _over_time(program: Transcription, start_data: FloatArray) -> Iterator[Limit
 def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
     """Yield the bounds of states just after a jump of a parameter, at the node of the jump.
 
-    `data` has one row per jump: the fraction of the horizon, the time-dependent parameters just
-    after the jump, and the constant parameters.
+    `data` has one row per jump, with the parameters just after the jump.
     """
     compiled, layout = program.compiled, program.layout
     nodes = program.mesh.node_fractions if program.mesh else np.zeros(0)
@@ -184,10 +180,10 @@ def _after_jumps(program: Transcription, data: FloatArray) -> Iterator[Limit]:
 def _fixed(program: Transcription, fixed: dict[tuple[str, float], float]) -> Iterator[Limit]:
     """Yield the values of states that are fixed at declared times, as equal bounds at a node.
 
-    The node is the one nearest to the declared time. `fixed` maps (variable name, fraction of the
-    horizon) to the fixed value. Other variables than states are skipped.
+    `fixed` maps (variable name, fraction of the horizon) to values.
     """
     for (name, fraction), number in fixed.items():
+        # The node is the one nearest to the declared time. Other variables than states are skipped.
         column = program.layout.state_column(name, fraction)
         if column >= 0:
             place, held = str(unknown_place(program, column)), np.array([number])
@@ -223,8 +219,7 @@ def limits_at_points(program: Transcription) -> Iterator[Limit]:
 def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
     """Raise an error if the lower bound of an unknown exceeds its upper bound.
 
-    The message names the variable with the largest excess. Where the excess is only a rounding
-    error, `upper` is set to the lower bound, in place.
+    If the excess is only a rounding error, `upper` is set to the lower bound, in place.
     """
     gap = lower - upper
     scale = 1e-9 * (1.0 + np.minimum(np.abs(lower), np.abs(upper)))
@@ -236,16 +231,13 @@ def _refuse_crossed(program: Transcription, lower: FloatArray, upper: FloatArray
 
 
 def _refuse_crossed_times(program: Transcription) -> None:
-    """Raise an error if the bounds of free times contradict the order of these times.
-
-    A free time is a physical time that the solve determines. Its lower bound must be below the
-    upper bounds of all later free times.
-    """
+    """Raise an error if the bounds of free times contradict the order of these times."""
     compiled, clock = program.compiled, program.compiled.declared.clock
     parameters = program.data.parameters
     lower, upper = (np.array(side).ravel() for side in compiled.static_limits(parameters))
     earliest, latest = (np.array(compiled.times(s, parameters)).ravel() for s in (lower, upper))
     before = np.maximum.accumulate(earliest)
+    # The lower bound of a time must be below the upper bounds of all later times.
     late = np.flatnonzero(before[:-1] >= latest[1:])
     if clock.is_free and late.size:
         after = int(late[0]) + 1
@@ -257,11 +249,7 @@ def _refuse_crossed_times(program: Transcription) -> None:
 
 
 def _refuse_crossed_rows(program: Transcription, lower: FloatArray, upper: FloatArray) -> None:
-    """Raise an error if the lower bound of a constraint exceeds its upper bound.
-
-    `lower` and `upper` are the bounds of all constraints of the program, shape (n_rows,). The
-    message names the first such constraint.
-    """
+    """Raise an error if the lower bound of a constraint exceeds its upper bound."""
     rows = np.flatnonzero(lower > upper)
     if rows.size:
         row = int(rows[0])
@@ -334,10 +322,9 @@ def scaling_by(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) ->
 
 
 def _largest_slopes(program: NonlinearProgram, nominal: FloatArray, z: FloatArray) -> FloatArray:
-    """Return the largest absolute derivative of each constraint of a program, shape (n_rows,).
+    """Return the largest absolute derivative of each constraint at `z`, shape (n_rows,).
 
-    The derivatives are taken at the point `z`, with respect to the unknowns divided by their
-    magnitudes `nominal`.
+    The derivatives are taken with respect to the unknowns divided by their magnitudes `nominal`.
     """
     rows, columns = program.jacobianstructure()
     with np.errstate(all="ignore"):
@@ -365,11 +352,10 @@ def nominal_magnitudes(program: Transcription, bounds: Bounds, z: FloatArray) ->
 
 
 def _magnitude(slot: Slot, bounds: Bounds, z: FloatArray, columns: Any) -> float:
-    """Return the magnitude of one variable, on which the scaling of its unknowns depends.
+    """Return the magnitude of one variable, for the scaling of its unknowns.
 
-    If the Pyomo model has a scaling factor for the variable, the magnitude is 1 / factor. Otherwise
-    it is the largest absolute value among the variable's values in `z` and its bounds, or 1 if all
-    are zero. Bounds of 1e6 or more are ignored.
+    It is 1 / scaling factor, if the Pyomo model has one. Otherwise it is the largest absolute value
+    in `z` and among bounds below 1e6, or 1.
     """
     if slot.nominal is not None:
         return slot.nominal
@@ -452,11 +438,7 @@ _AGREED, _REGULAR = 1e-7, 1e-12
 
 
 def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> bool:
-    """Return whether a program's equations are linear and have no solution.
-
-    The equations are the constraints with equal bounds. They are linearised at `z`. A least-squares
-    step of the free unknowns then minimises the residuals of the equations.
-    """
+    """Return whether a program's equations are linear and have no solution."""
     rows, columns = program.jacobianstructure()
     slopes = coo_array((program.jacobian(z), (rows, columns)), shape=(program.n_rows, z.size))
     equal = np.flatnonzero(bounds.row_lower == bounds.row_upper)
@@ -469,6 +451,8 @@ def _is_contradictory(program: NonlinearProgram, bounds: Bounds, z: FloatArray) 
     def off(point: FloatArray) -> FloatArray:
         return np.asarray((program.constraints(point)[equal] - bounds.row_lower[equal]) * sizes)
 
+    # A least-squares step of the free unknowns minimises the residuals of the equations, linearised
+    # at `z`.
     system = block_array([[identity(m), slopes], [slopes.T, -_REGULAR * identity(n)]], format="csc")
     solved = splu(system).solve(np.concatenate([-off(z), np.zeros(n)]))
     left, moved = -solved[:m], np.array(z)
@@ -484,7 +468,7 @@ _ROUNDING = 1e-9
 
 
 def without_settled_rows(program: NonlinearProgram, bounds: Bounds, z: FloatArray) -> Bounds:
-    """Return bounds in which redundant constraints have infinite bounds.
+    """Return bounds in which the bounds of redundant constraints are infinite.
 
     A constraint is redundant if it is satisfied at `z` and contains fixed unknowns only. An example
     is a path equality at a point where all its states are fixed.

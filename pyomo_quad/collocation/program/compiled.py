@@ -39,10 +39,9 @@ _MOST_MAPPED = 64
 
 @lru_cache(maxsize=_MOST_MAPPED)
 def _mapped(function: Any, size: int, n_shared: int) -> Any:
-    """Return a CasADi function that evaluates `function` at `size` points.
+    """Return a CasADi function that evaluates `function` at `size` points, one column per point.
 
-    The first `n_shared` inputs are the same at all points. Every other input, and every output, has
-    one column per point.
+    The first `n_shared` inputs are the same at all points.
     """
     if size == 1:
         return function
@@ -83,18 +82,9 @@ class MappedFunction:
         return type(self), self._arguments
 
     def __call__(self, *inputs: FloatArray) -> list[FloatArray]:
-        """Evaluate the function at all points.
+        """Evaluate the function at all points; inputs and outputs have one row per point.
 
-        Parameters
-        ----------
-        inputs : ndarray, shape (n, n_columns)
-            Each input of the function, one row per point. An input that is the same at all points
-            (one of the first `n_shared` inputs) has the shape (n_columns,).
-
-        Returns
-        -------
-        list of ndarray, shape (n, n_rows)
-            Each output of the function, one row per point.
+        Each of the first `n_shared` inputs has the shape (n_columns,).
         """
         outputs = [np.zeros(shape) for shape in self._shapes]
         held = [np.ascontiguousarray(array, dtype=float) for array in inputs]
@@ -148,8 +138,7 @@ def _names_at(declared: Declarations, slot: Slot) -> frozenset[str]:
 def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
     """Return an output state with its equation; None if the model has no output state.
 
-    An output state and its time derivative appear in a single equality, and in no objective or
-    integral. The equality contains no other time derivative. The state has no bounds, and is fixed
+    An output state affects neither the objective nor other equations, has no bounds, and is fixed
     at the start only.
     """
     uses = Counter[str]()
@@ -182,10 +171,10 @@ def _one_output(declared: Declarations) -> tuple[Slot, PathEquation] | None:
 
 
 def _is_fixed_at_start_only(declared: Declarations, slot: Slot) -> bool:
-    """Return whether a state has an initial condition and no other condition.
+    """Return whether a state has an initial condition or value, and no other condition.
 
-    A fixed value counts as a condition. The initial condition must not contain other variables. The
-    objective must not contain the state's value at a declared time.
+    The result is False if the initial condition contains other variables, or if the objective
+    contains the state's value at a declared time.
     """
     names = _names_at(declared, slot)
     if names & symbol_names(declared.objective):
@@ -219,10 +208,9 @@ class SimpleBound:
     slope : float
         Coefficient of the variable in the constraint; 1 for bounds declared with the variable.
     lower, upper : casadi.SX
-        Lower and upper bound of the variable, as expressions of the parameters. A bound over time
-        may also depend on the fraction of the horizon. A constraint ``low <= a * x + b <= high`` on
-        the variable x, with a slope a > 0, gives the bounds (low - b) / a and (high - b) / a. For a
-        < 0, the two bounds are exchanged.
+        Bounds of the variable, as expressions of the parameters and, over time, of the fraction of
+        the horizon. The constraint ``low <= a * x + b <= high`` gives (low - b) / a and (high - b)
+        / a, exchanged if a < 0.
     """
 
     name: str
@@ -281,24 +269,8 @@ def _as_simple_bound(
 ) -> SimpleBound | None:
     """Return a constraint on a single variable as a `SimpleBound`, otherwise None.
 
-    Parameters
-    ----------
-    relation : PathEquation or PointCondition
-        Constraint over time, or at declared times.
-    variables : dict
-        All variable symbols by name.
-    candidates : frozenset of str
-        Names of the variables that are unknowns of the nonlinear program.
-
-    Returns
-    -------
-    SimpleBound or None
-        None for each of these constraints:
-
-        - an equality over time;
-        - a constraint that contains no variable or several;
-        - a constraint that is nonlinear in its variable, or whose slope depends on parameters;
-        - a constraint on a variable that is no unknown of the nonlinear program.
+    The constraint must be linear with a constant slope, and the variable one of `candidates`. An
+    equality over time gives None.
     """
     if isinstance(relation, PathEquation) and relation.is_equality:
         return None
@@ -413,8 +385,8 @@ class CompiledModel:
         (static variables, parameters) -> physical times: the start of the horizon, the free
         interior times (interior times that the solve determines), and the end.
     row_integrals : tuple of int
-        Positions, among all integrals of the model, of those that enter the objective directly.
-        Each other integral is replaced by a static variable.
+        Positions of the integrals that enter at most the objective, linearly. Each other integral
+        is replaced by a static variable.
     symbols : (casadi.SX, casadi.SX)
         Symbols of the variables and the data of a point.
     tables : TableArguments
@@ -503,14 +475,10 @@ def _unpacked(parts: Packed) -> CompiledModel:
 def compile_declarations(declared: Declarations) -> CompiledModel:
     """Compile the declarations of a model to CasADi functions.
 
-    Before they are compiled, the declarations are changed as follows:
-
-    - Output states, which affect nothing else, are left out of the program, unless the objective is
-      constant.
-    - A bound that depends on static variables becomes a constraint.
-    - Any other inequality over time or condition on a single variable becomes a bound, if it is
-      linear in this variable.
-    - An integral in a condition or in a nonlinear term of the objective becomes a static variable.
+    Output states are left out of the nonlinear program, unless the objective is constant.
+    Inequalities and conditions that are linear in a single variable become bounds. Bounds that
+    depend on static variables become constraints. Integrals in conditions or in nonlinear terms of
+    the objective become static variables.
     """
     if symbol_names(declared.objective) & _point_symbols(declared).keys():
         declared = set_outputs_aside(declared)
@@ -563,10 +531,9 @@ def compile_declarations(declared: Declarations) -> CompiledModel:
 
 
 def _times(declared: Declarations, parameters: Any) -> Any:
-    """Return a CasADi function for the physical times that bound the phases of the horizon.
+    """Return the CasADi function (static variables, parameters) -> boundaries of the phases.
 
-    It maps (static variables, parameters) to a column: the start of the horizon, the interior times
-    that the solve determines, and the end. `parameters` is the column of symbols.
+    They are physical times: the start of the horizon, the free interior times, and the end.
     """
     inputs = [_symbols(declared.statics), parameters]
     return casadi.Function("times", inputs, [stacked(declared.clock.times)])
@@ -610,8 +577,7 @@ def with_moving_limits(declared: Declarations) -> Declarations:
 def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> list[PathEquation]:
     """Return constraints equivalent to `equation`, whose limits depend on data alone.
 
-    If the limit in ``y <= limit`` depends on static variables, the result contains ``y - limit <=
-    0`` instead. The function `moves` tells whether a limit depends on them.
+    If `moves(limit)` is true, the limit is subtracted: ``y <= limit`` becomes ``y - limit <= 0``.
     """
     below, above = moves(equation.lower), moves(equation.upper)
     if not (below or above):
@@ -647,31 +613,22 @@ def _with_fixed_sides(equation: PathEquation, moves: Callable[[Any], bool]) -> l
 
 
 def _infinite_where(unbounded: Any, none: Any) -> Any:
-    """Return the bound of the difference (expression - limit) in a constraint over time.
-
-    The bound is 0 in the parts of the horizon that have the limit. In the other parts, where
-    `unbounded` is 1, it is the infinite value `none`.
-    """
+    """Return the bound of (expression - limit): 0, or the infinite `none` where no limit exists."""
     zero = casadi.SX(0)
     return zero if unbounded.is_zero() else casadi.if_else(unbounded, none, zero)
 
 
 def _moving_side(side: Any) -> tuple[Any, Any]:
-    """Split a limit into its finite value, and an indicator of where the limit is absent.
+    """Return a limit with 0 in place of infinite values, and an indicator of absent limits.
 
-    If `side` differs between parts of the horizon, it is a sum of terms, each zero outside its
-    part. A term is infinite if its part has no limit.
-
-    Returns
-    -------
-    casadi.SX, casadi.SX
-        The limit, with zero in place of an infinite value; and an expression that is 1 where the
-        limit is absent, else 0.
+    The indicator is 1 where the limit is infinite, else 0.
     """
     zero = casadi.SX(0)
     if side.is_constant():
         is_infinite = math.isinf(float(side))
         return (zero, casadi.SX(1)) if is_infinite else (side, zero)
+    # A limit that differs between parts of the horizon is a sum of terms, each zero outside its
+    # part.
     if side.op() == casadi.OP_IF_ELSE_ZERO:
         kept, unbounded = _moving_side(side.dep(1))
         holds = side.dep(0)
@@ -685,24 +642,7 @@ def _moving_side(side: Any) -> tuple[Any, Any]:
 def _table_arguments(
     declared: Declarations, path_variables: dict[str, Any], point_variables: dict[str, Any]
 ) -> TableArguments:
-    """Compile the functions that evaluate the arguments of all interpolation tables in a model.
-
-    Parameters
-    ----------
-    declared : Declarations
-        Has the model's table arguments, as expressions, and the parameters.
-    path_variables : dict
-        Symbols of the variables at a collocation point, by name.
-    point_variables : dict
-        Symbols of the variables in conditions (constraints at declared times), by name.
-
-    Returns
-    -------
-    TableArguments
-        The table arguments and their functions. Table arguments in equations that have been left
-        out of the nonlinear program are omitted. They contain a variable that is missing from
-        `path_variables` and `point_variables`.
-    """
+    """Compile the functions that evaluate the arguments of all interpolation tables in a model."""
     parameters = _symbols(declared.parameters)
     made: list[Any] = []
     for variables, data in (
@@ -721,8 +661,7 @@ def _table_arguments(
 def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
     """Return a hash that identifies a model, independently of parameter values.
 
-    The hash shows whether a warm start belongs to the same model. `functions` evaluate all
-    equations over time, the conditions and the objective.
+    The hash shows whether a warm start belongs to the same model.
     """
     d = declared
     names = ["maximise" if d.maximise else "minimise", *(e.name for e in d.equations)]
@@ -732,11 +671,7 @@ def _fingerprint(declared: Declarations, functions: list[Any]) -> str:
 
 
 def _values(name: str, rows: Any, variables: Any, data: Any) -> Any:
-    """Return the CasADi function (variables, data) -> dense column of the expressions `rows`.
-
-    `variables` and `data` are columns of the symbols that the expressions contain, and `name` is
-    the name of the function.
-    """
+    """Return the CasADi function (variables, data) -> dense column of the expressions `rows`."""
     return casadi.Function(name, [variables, data], [casadi.densify(rows)])
 
 
@@ -751,11 +686,7 @@ def _anonymous(function: Any) -> str:
 
 
 def _limits(name: str, data: Any, items: tuple[Any, ...]) -> Any:
-    """Return the CasADi function from data to the lower and upper bounds of `items`.
-
-    The outputs are the column of lower bounds and the column of upper bounds. `data` is the column
-    of symbols in these bounds.
-    """
+    """Return the CasADi function from data to the lower and upper bounds of `items`."""
     sides = [stacked([i.lower for i in items]), stacked([i.upper for i in items])]
     return casadi.Function(name, [data], sides)
 
@@ -776,8 +707,7 @@ def _symbols(slots: tuple[Slot, ...]) -> Any:
 def _path_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables at a collocation point, by name and in fixed order.
 
-    The order is: rates (derivatives of the states with respect to the fraction of the horizon),
-    states, algebraic variables, static variables (variables without time).
+    The order is: rates, states, algebraic variables, static variables.
     """
     symbols = {s.rate.name(): s.rate for s in declared.states}
     for slots in (declared.states, declared.algebraics, declared.statics):
@@ -788,8 +718,7 @@ def _path_symbols(declared: Declarations) -> dict[str, Any]:
 def _point_symbols(declared: Declarations) -> dict[str, Any]:
     """Return the symbols of the variables in conditions and objective, by name and in fixed order.
 
-    The order is: values at declared times, static variables, integrals. An integral that a static
-    variable replaces is listed only as this variable.
+    The order is: values at declared times, static variables, integrals that none of these replaces.
     """
     symbols = {p.symbol.name(): p.symbol for p in declared.point_symbols}
     symbols |= {s.symbol.name(): s.symbol for s in declared.statics}
@@ -816,10 +745,9 @@ def _is_static(declared: Declarations, name: str) -> bool:
 
 
 def _with_integral_variables(declared: Declarations) -> Declarations:
-    """Return a copy of a model's declarations, with a static variable for some of the integrals.
+    """Return a copy of a model's declarations, with static variables for some integrals.
 
-    If an integral enters a condition or a nonlinear term of the objective, a static variable
-    replaces it. A constraint makes the variable equal to the integral.
+    These integrals enter a condition or a nonlinear term of the objective.
     """
     in_conditions = symbol_names(stacked([c.expression for c in declared.conditions]))
     variables = symbol_names(
@@ -831,6 +759,7 @@ def _with_integral_variables(declared: Declarations) -> Declarations:
         if _is_static(declared, integral.name):
             continue
         if integral.symbol.name() in in_conditions or symbol_names(slope) & variables:
+            # A constraint makes the static variable equal to the integral.
             statics.append(integral.slot)
     return replace(declared, statics=tuple(statics))
 

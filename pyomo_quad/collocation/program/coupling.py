@@ -1,16 +1,12 @@
 """Problems with several horizons: their declarations, their coupling, and the joint program.
 
-Each continuous set of the model is a horizon. The nonlinear program of a horizon has the
-constraints that contain variables of this horizon, but of no other. The objective and all other
-constraints form the coupling. Integrals over a horizon and values at declared times enter the
-coupling as follows:
+Each continuous set of the model is a horizon. Its program has the constraints on this horizon only.
+The objective and all other constraints form the coupling. Integrals and values of a horizon enter
+the coupling as follows:
 
-- An integral that enters only the objective, with a number as coefficient, is left out: it moves
-  into the objective of the horizon. A mutable parameter is no number here.
-- A static variable (variable without time) replaces the value of a state. Both are one unknown of
-  the joint program.
-- A static variable replaces any other integral or value. A constraint of the horizon makes both
-  equal.
+- An integral that only the objective contains, times a number, becomes an objective of the horizon.
+- The value of a state is the same unknown as a static variable (without time).
+- A static variable equals any other integral or value, by a constraint of the horizon.
 """
 
 from __future__ import annotations
@@ -112,9 +108,8 @@ class CouplingWriter(TemplateWriter):
     def write_objective(self, objective: Any) -> Any:
         """Return the objective as a CasADi expression.
 
-        The objective may contain values at any declared time. Constraints on several horizons may
-        contain values only at the ends of a horizon. Translate all constraints before the
-        objective, because the call ends this check.
+        The objective may contain values at any declared time, a constraint only values at the ends
+        of a horizon. Write all constraints first: this method ends the check of their times.
         """
         self._in_objective = True
         return casadi.SX(self.write(objective.expr, objective.name))
@@ -122,9 +117,8 @@ class CouplingWriter(TemplateWriter):
     def leaf(self, data: Any) -> Any:
         """Return the symbol for a Pyomo variable or parameter that couples several horizons.
 
-        For a value of a horizon at a single time, such as ``x[1]``, a static variable replaces the
-        value. The result is the symbol of this variable, which is stored in `links`. If `data` has
-        no time, the result is its own symbol.
+        The value of a variable at a single time, such as ``x[1]``, is replaced by a static
+        variable, which is stored in `links`.
 
         Raises
         ------
@@ -160,8 +154,8 @@ class CouplingWriter(TemplateWriter):
     def _refuse_interior(self, reader: ModelReader, data: Any) -> None:
         """Raise an error for a value that must not appear in the coupling of several horizons.
 
-        A time-dependent parameter at a single time must not appear at all. Any other value at an
-        interior time of a horizon may appear in the objective, but in no constraint.
+        A time-dependent parameter at a single time must not appear, nor, in a constraint, a value
+        at an interior time.
         """
         declared, name = reader.copy.declared_times, reader.copy.time.name
         is_end = reader.addresses.of(data).time in (declared[0], declared[-1])
@@ -180,8 +174,8 @@ class CouplingWriter(TemplateWriter):
     def named(self, expression: Any) -> Any:
         """Return the symbol that replaces a named Pyomo expression, or None.
 
-        An integral over a horizon is replaced by a symbol. For any other named expression, the
-        result is None, and the writer translates the expression like an unnamed one.
+        The symbol of an integral over a horizon replaces it. Any other named expression gives None,
+        and is translated like an unnamed one.
         """
         component = expression.parent_component()
         if component is not None and component.ctype is PyomoIntegral:
@@ -206,13 +200,11 @@ class CoupledDeclarations:
         Declarations that belong to no single horizon, and their reader. These declarations are the
         objective, the constraints on several horizons, and the constraints without any horizon.
     states : dict
-        Static variables (variables without time) of the coupling that equal a state of a horizon:
-        name of the static variable -> (name of the horizon, state with its declared time). A
-        declared time is a member of the continuous set.
+        Name of a static variable of the coupling that equals a state of a horizon -> (name of the
+        horizon, state with its declared time).
     links : tuple of str
         Names of the static variables of the coupling that equal another variable, such as a
-        control, at a declared time. Each of these equalities is a constraint of the horizon. The
-        constraint has the name of the static variable.
+        control, at a declared time. The constraint that makes them equal has the same name.
     """
 
     horizons: dict[str, tuple[Declarations, ModelReader]]
@@ -229,10 +221,9 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
     model : ConcreteModel
         The Pyomo model.
     times : mapping, optional
-        Physical times that the solve determines. The keys are the names of continuous sets. Each
-        value maps members of the set to static variables (variables without time), which give the
-        physical times of these members. Any other member is itself a physical time. The mapping is
-        the argument `times` of `JointProblem`, the class of problems with several horizons.
+        Physical times that the solve determines, by the name of the continuous set: member of the
+        set -> static variable that is its physical time. It is the argument `times` of
+        `JointProblem`.
 
     Returns
     -------
@@ -289,20 +280,10 @@ def read_horizons(model: Any, times: FreeTimes | None) -> CoupledDeclarations:
 def _refuse_gaps(
     conditions: list[PointCondition], links: list[Link], free: dict[str, dict[float, Any]]
 ) -> None:
-    """Raise an error if an equality continues one horizon in another after a gap in time.
+    """Raise an error if an equality joins the end of a horizon to a later start of another one.
 
-    Such an equality joins the end of one horizon to the start of a later one. The gap is accepted
-    if one of these two times is free.
-
-    Parameters
-    ----------
-    conditions : list of PointCondition
-        Constraints on values of several horizons.
-    links : list of Link
-        Static variables that stand for values of the horizons in these constraints.
-    free : dict
-        Physical times given by static variables. The keys are the names of continuous sets; each
-        value maps members of the set to static variables.
+    The gap is accepted if one of the two times is in `free`, which has one mapping per continuous
+    set.
     """
     for condition in conditions:
         names = symbol_names(condition.expression)
@@ -322,29 +303,14 @@ def _refuse_gaps(
 
 
 def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> tuple[Any, Any]:
-    """Separate the integrals over one horizon that enter the objective with a constant coefficient.
+    """Split the objective into integrals over one horizon with constant factors, and the rest.
 
-    The coefficient must be a number: a mutable parameter is a symbol here. These integrals become
-    the objective of the horizon's own nonlinear program.
-
-    Parameters
-    ----------
-    reader : ModelReader
-        Reader of the horizon's declarations.
-    cost : casadi.SX
-        The objective.
-    in_conditions : frozenset of str
-        Names of all symbols in the constraints on several horizons. An integral in such a
-        constraint is not separated.
-
-    Returns
-    -------
-    casadi.SX, casadi.SX
-        The sum of the separated integrals with their coefficients, and the rest of the objective.
+    An integral whose symbol is in `in_conditions` belongs to the rest.
     """
     own = casadi.SX(0)
     for integral in reader.writer.integrals.values():
         slope = casadi.jacobian(cost, integral.symbol)
+        # A mutable parameter is a symbol, so that a coefficient that contains one is not constant.
         if slope.is_constant() and integral.symbol.name() not in in_conditions:
             own += slope * integral.symbol
             cost = casadi.substitute(cost, integral.symbol, casadi.SX(0))
@@ -352,11 +318,7 @@ def _own_cost(reader: ModelReader, cost: Any, in_conditions: frozenset[str]) -> 
 
 
 def _integrals_in(reader: ModelReader, names: frozenset[str]) -> list[Slot]:
-    """Return static variables for a horizon's integrals that are used outside the horizon.
-
-    `reader` has the integrals. `names` are the names of the symbols in the objective and in the
-    constraints on several horizons.
-    """
+    """Return static variables for the integrals of a horizon whose symbols are in `names`."""
     return [
         integral.slot
         for integral in reader.writer.integrals.values()

@@ -1,8 +1,7 @@
 """Find algebraic variables that equations define by other variables, and compute their values.
 
-An example is a rate constant that an equation gives as a function of temperature. The values of
-such algebraic variables follow from the defining equations, without a solve of the nonlinear
-program.
+An example is a rate constant that an equation gives as a function of temperature. Such values
+follow from the equations without a solve of the nonlinear program.
 """
 
 from __future__ import annotations
@@ -36,27 +35,25 @@ def definitions(
 ) -> list[Definition]:
     """Find equations without time derivatives that define one algebraic variable each.
 
-    An equality defines a variable that enters with a constant coefficient, if no other undefined
-    algebraic variable enters so. For example, ``k == exp(-1 / x)`` defines k, but not x. If y is a
-    state, ``p - q == y`` defines p once another equation defines q.
+    An equality defines an algebraic variable that has a constant coefficient in it, if no other
+    undefined algebraic variable has one. For example, ``k == exp(-1 / x)`` defines k, but not x. If
+    y is a state, ``p - q == y`` defines p once another equation defines q.
 
     Parameters
     ----------
     program : Transcription
         Nonlinear program on one mesh.
     z : ndarray, shape (n_unknowns,)
-        Unknowns of the program, at which coefficients are evaluated. A coefficient counts as
-        constant if it has the same value at all collocation points, and keeps this value when all
-        variables are changed.
+        Unknowns of the program, at which the coefficients are evaluated.
     among : iterable of int, optional
-        Indices (among all algebraic variables) of the variables that may be defined; all by
-        default. Any other algebraic variable counts as already defined.
+        Indices, among all algebraic variables, of those that may be defined; by default all. The
+        others count as already defined.
 
     Returns
     -------
     list of Definition
-        One tuple per defining equation: index of the equation among the path equations, index of
-        the defined variable among the algebraic variables, coefficient of this variable.
+        Index of each defining equation among the path equations, index of the defined variable
+        among the algebraic variables, and its coefficient.
     """
     compiled, layout, path = program.compiled, program.layout, program.compiled.path
     n, count = layout.n_states, layout.n_algebraics
@@ -68,6 +65,8 @@ def definitions(
     there = here + _AWAY * np.maximum(1.0, np.abs(here))
     function = MappedFunction(path.jacobian, program.n_points)
     entries, moved = (function(variables, data)[0] for variables in (here, there))
+    # A coefficient counts as constant if it is the same at all collocation points, and stays the
+    # same when all variables are displaced.
     is_constant = np.all((entries == entries[0]) & (entries != 0.0), axis=0)
     is_constant &= np.all(np.abs(moved - entries) <= _SAME * np.abs(entries), axis=0)
     chosen = is_constant & np.isin(path.jacobian_rows, rows)
@@ -94,8 +93,8 @@ def with_defined(
     """Compute the algebraic variables that equations define, at several points.
 
     Repeated substitution solves the equations, which may depend on each other. It fails if the
-    largest residual stays above a millionth of its initial value, for example because of circular
-    dependencies.
+    largest residual stays above a millionth of its initial value. Circular dependencies can cause
+    this.
 
     Parameters
     ----------
@@ -106,13 +105,13 @@ def with_defined(
     data : ndarray, shape (n_points, n_data)
         Fraction of the horizon and parameters, one row per point.
     given : list of Definition
-        The defining equations and their variables, as the function `definitions` returns them.
+        The defining equations and their variables, from `definitions`.
 
     Returns
     -------
     ndarray, shape (n_points, n_variables)
-        Copy of `variables` in which the defined variables satisfy their equations. After a failure,
-        `variables` itself.
+        Copy of `variables` in which the defined variables satisfy their equations. If the
+        substitution fails, `variables` itself.
     """
     if not given:
         return variables

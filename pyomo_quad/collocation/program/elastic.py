@@ -1,12 +1,12 @@
 """Elastic programs: nonlinear programs whose constraints may be violated at a penalty.
 
-Slacks are unknowns that permit a violation. There are two kinds of elastic programs:
+An elastic program has slacks: further unknowns that permit a violation.
 
-- One kind keeps the objective, and has slacks in the equations over time. Its optimum, with small
-  violations, is the initial point for a solve of the original program.
-- The other kind has slacks in every constraint, and minimises the sum of violations instead of the
-  objective. If the least sum is positive, the problem is reported as infeasible: no point near the
-  optimum satisfies all constraints and all bounds.
+- `priced` keeps the objective, and adds slacks to the equalities at the collocation points. Its
+  optimum serves as initial point of the original program.
+- `least_violation` adds slacks to all constraints, and minimises their sum instead of the
+  objective. If this sum is positive, the problem is reported as infeasible: no point nearby
+  satisfies all constraints.
 """
 
 from __future__ import annotations
@@ -48,31 +48,13 @@ _BARRIERS = ("adaptive", "monotone")
 def _with_slacks(
     program: NonlinearProgram, rows: NDArray[np.intp], sizes: FloatArray, prices: FloatArray, n: int
 ) -> ExtendedProgram:
-    """Return an elastic program: a copy of a program with penalised slacks in some constraints.
+    """Return a copy of a program with two penalised slacks >= 0 in each chosen constraint.
 
-    Each chosen constraint has two non-negative slacks. One permits a value below the lower bound,
-    the other a value above the upper bound.
-
-    Parameters
-    ----------
-    program : NonlinearProgram
-        The original program.
-    rows : ndarray of int, shape (k,)
-        Indices of the chosen constraints.
-    sizes : ndarray, shape (k,)
-        Amount by which one unit of slack changes the value of each chosen constraint.
-    prices : ndarray, shape (k,)
-        Penalty per unit of slack in each chosen constraint.
-    n : int
-        Number of unknowns of the original program.
-
-    Returns
-    -------
-    ExtendedProgram
-        The elastic program with n + 2 k unknowns: the unknowns of the original program, then the
-        slacks that increase the values of the constraints, then the slacks that decrease them.
+    One unit of slack changes the value of its constraint by `sizes`.
     """
     slacks = n + np.arange(2 * rows.size)
+    # After the n original unknowns come k slacks that increase the values of the constraints, then
+    # k slacks that decrease them.
     entries = np.append(sizes, -sizes), (np.tile(rows, 2), slacks)
     terms = csr_array(entries, shape=(program.n_rows, n + slacks.size))
     return ExtendedProgram(program=program, prices=np.tile(prices, 2), terms=terms)
@@ -86,26 +68,10 @@ def _solved(
     options: SolverOptions,
     progress: Progress | None,
 ) -> IpoptResult:
-    """Solve an elastic program by Ipopt, starting from a point of the original program.
+    """Solve an elastic program by Ipopt from the point `near` of the original program.
 
-    The initial slacks equal the violations of the constraints at the starting point, plus a margin.
-
-    Parameters
-    ----------
-    elastic : ExtendedProgram
-        The original program with slacks, which permit violations of its constraints.
-    near : ndarray, shape (n_unknowns,)
-        Starting point: unknowns of the original program.
-    bounds, scaling : Bounds, Scaling
-        Bounds and scaling of the original program.
-    options : SolverOptions
-    progress : callable or None
-        Called at each iteration; returning False stops the solve.
-
-    Returns
-    -------
-    IpoptResult
-        The unknowns are those of the original program, then the slacks.
+    `bounds` and `scaling` are those of the original program. The result has the original unknowns,
+    then the slacks.
     """
     values = elastic.program.constraints(near)
     by_slack = elastic.terms[:, near.size :].tocoo()
@@ -127,19 +93,20 @@ def _solved(
 
 
 def priced(program: Transcription, scaling: Scaling, z: FloatArray) -> ExtendedProgram:
-    """Return an elastic program, whose equations over time may be violated at a penalty.
+    """Return an elastic program whose path equalities may be violated at a penalty.
 
-    The penalty per unit of slack is proportional to the quadrature weight of the collocation point.
+    A path equality is imposed at each collocation point. The penalty per unit of slack is
+    proportional to the quadrature weight of the point.
 
     Parameters
     ----------
     program : Transcription
         The original program.
     scaling : Scaling
-        Scaling of the original program. One unit of slack changes the value of an equation by the
-        inverse of the equation's scaling factor.
+        Scaling of the original program. One unit of slack changes an equation's value by 1 /
+        (scaling factor of the equation).
     z : ndarray, shape (n_unknowns,)
-        Unknowns of the original program. Only the number of unknowns is used.
+        Unknowns of the original program. Only their number is used.
     """
     is_equality, mesh = program.compiled.is_equality, program.mesh
     rows = np.flatnonzero(np.tile(is_equality, program.n_points))
@@ -161,8 +128,8 @@ def elastic_point(
 ) -> FloatArray:
     """Return the unknowns at the optimum of an elastic program, as an initial point.
 
-    The elastic program is that of `priced`. If its solve fails or is stopped, the result is its
-    best iterate. The result lies within the bounds, and has the shape (n_unknowns,).
+    The elastic program is that of `priced`. If its solve fails or is stopped, the result is the
+    best iterate. The result has the shape (n_unknowns,) and lies within the bounds.
 
     Parameters
     ----------
@@ -183,17 +150,15 @@ def elastic_point(
 class LeastViolation:
     """Point of least constraint violation: optimum of the elastic program without the objective.
 
-    In this elastic program, slacks permit violations of all constraints. The sum of the slacks is
-    minimised.
+    In this program, all constraints have slacks, and the sum of the slacks is minimised.
 
     Attributes
     ----------
     z : ndarray, shape (n_unknowns,)
-        The unknowns at that optimum, within their bounds. If the search failed or was stopped, the
-        unknowns of its best iterate.
+        Unknowns at the optimum, within their bounds. If the search failed or was stopped, those of
+        the best iterate.
     slacks : ndarray, shape (n_rows,)
-        Violation of each constraint, divided by the constraint's scale. The scale is about the size
-        of the constraint's largest term.
+        Violation of each constraint times the scaling factor of the constraint.
     result : IpoptResult
         Ipopt's result for the elastic program.
     """
@@ -230,9 +195,8 @@ def least_violation(
 ) -> LeastViolation:
     """Find a point at which the sum of scaled constraint violations is least.
 
-    The search solves an l1 elastic program without the objective. Slacks are in units of the
-    constraints' scales, and all have the same penalty. If Ipopt fails, the search is repeated with
-    its other barrier strategy.
+    The search solves an l1 elastic program without the objective. Ipopt uses its adaptive barrier
+    strategy, and if this fails, the monotone one.
 
     Parameters
     ----------
@@ -241,11 +205,9 @@ def least_violation(
         Bounds of the unknowns and of the constraints. The bounds of the unknowns are not relaxed.
     scaling : Scaling
     z : ndarray, shape (n_unknowns,)
-        Point from which the search starts. Unknowns that affect no violation stay near their values
-        at this point.
+        Initial point. Unknowns that affect no violation stay near their values at this point.
     options : SolverOptions
-        Settings of Ipopt. Their tolerance is replaced by 1e-8, and at most 300 iterations are
-        allowed.
+        Settings of Ipopt. The search sets the tolerance to 1e-8 and allows at most 300 iterations.
     progress : callable or None
         Called at each iteration; returning False stops the search.
 

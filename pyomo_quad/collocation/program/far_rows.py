@@ -1,15 +1,14 @@
 """Constraints far from their limits: left out of a warm-started solve, and checked afterwards.
 
-Nearly all constraints of a mission past a dozen buildings are far from their limits. Each of them
-costs Ipopt a slack, a multiplier, and a row of the matrix that each iteration factorises.
-
-A constraint counts as far if it stays within its limits even if each unknown changes by a tenth of
-its magnitude. By linearisation at the warm start, row r of the constraints c is far if
+Each constraint costs Ipopt a slack, a multiplier and a matrix row. In a mission past a dozen
+buildings, nearly all constraints are far from their limits. Row r of the constraints c is far if no
+limit is reached when each unknown z_j changes by a tenth of its magnitude. Linearised at the warm
+start:
 
     slack_r > 0.1 sum_j abs(dc_r / dz_j) magnitude_j .
 
-An optimum without the far rows is a local optimum of the whole program if it satisfies these rows:
-their multipliers are then zero.
+If the optimum without the far rows satisfies them, it is a local optimum of the whole program, in
+which their multipliers are zero.
 """
 
 from __future__ import annotations
@@ -111,7 +110,7 @@ class ProgramOfRows:
         return self.program.hessian(z, self.of_all(multipliers), factor)
 
     def of_all(self, multipliers: FloatArray) -> FloatArray:
-        """Return multipliers of all constraints of the other program; zero where not chosen.
+        """Return multipliers of all constraints of the other program, zero for those not chosen.
 
         `multipliers` has one item for each chosen constraint.
         """
@@ -125,8 +124,7 @@ def far_rows(
 ) -> NDArray[np.bool_]:
     """Return which constraints are far from their limits at the unknowns `z`, shape (n_rows,).
 
-    The module's docstring defines a far constraint. An equation is never far. `bounds` has the
-    limits of the constraints, and `scaling` the magnitudes of the unknowns.
+    The module's docstring defines a far constraint. An equation is never far.
     """
     values = program.constraints(z)
     slack = np.minimum(values - bounds.row_lower, bounds.row_upper - values)
@@ -148,14 +146,14 @@ def run_without_far_rows(
 ) -> IpoptResult:
     """Solve a program from a warm start, without the constraints that are far from their limits.
 
-    The whole program is solved if less than a fifth of the constraints are far. It is also solved
-    if the optimum without the far constraints violates one of them. If the solve without them fails
-    or is interrupted, its result is returned unchecked.
+    The whole program is solved if less than a fifth of the constraints are far, or if the optimum
+    violates a far constraint. If the solve without them fails or is interrupted, its result is not
+    checked.
 
     Parameters
     ----------
     run : callable
-        Function that solves a program. It takes the same arguments as `program.ipopt.run`.
+        Function that solves a program, with the arguments of `program.ipopt.run`.
     program, bounds, scaling, start, multipliers
         Arguments of `run`.
     **settings
@@ -164,7 +162,7 @@ def run_without_far_rows(
     Returns
     -------
     IpoptResult
-        Result with multipliers of all constraints. History and wall-clock time cover both solves.
+        Result with multipliers of all constraints. History and wall-clock time cover all solves.
     """
     is_far = far_rows(program, bounds, scaling, start)
     if np.count_nonzero(is_far) < _WORTH * program.n_rows:

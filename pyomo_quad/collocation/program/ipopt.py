@@ -37,10 +37,10 @@ class Status(Enum):
     - `TOLERANCE_NOT_MET`: Ipopt converged on the last mesh, but the mesh refinement did not reach
       its tolerance.
     - `INFEASIBLE`: the constraints appear to have no solution.
-    - `INTERRUPTED`: the progress callback or a KeyboardInterrupt (Ctrl+C) stopped the solve. The
-      callback also stops it at the time limit `SolverOptions.max_wall_s`.
-    - `NOT_CONVERGED`: any other failure, for example at the limit of iterations, or at a time limit
-      among Ipopt's own options.
+    - `INTERRUPTED`: the progress callback, Ctrl+C or the time limit `SolverOptions.max_wall_s`
+      stopped the solve.
+    - `NOT_CONVERGED`: any other failure, for example at the limit of iterations or at Ipopt's own
+      time limit.
     """
 
     CONVERGED = "converged"
@@ -104,14 +104,14 @@ _PUSHES = (
 
 
 class StartDistance(Enum):
-    """Expected distance of a warm start from the point of the central path at which the solve ends.
+    """Expected distance of a warm start from the solution, which lies on the central path.
 
-    The central path is the curve of the barrier problem's optima for all positive barrier
+    The central path consists of the optima of the barrier problem for all positive barrier
     parameters.
 
-    - `NONE`: the start practically coincides with the end point.
-    - `SHORT`: the start is near the end point.
-    - `FAR`: the start is far from the end point.
+    - `NONE`: the start practically coincides with the solution.
+    - `SHORT`: the start is near the solution.
+    - `FAR`: the start is far from the solution.
     """
 
     NONE = "none"
@@ -126,15 +126,15 @@ class SolverOptions:
     Attributes
     ----------
     tolerance : float, optional
-        Ipopt's option `tol`, for the scaled problem. By default it is derived from the tolerance of
-        the mesh refinement (see `suiting`). Without refinement, it is 1e-9.
+        Ipopt's option `tol`, for the scaled problem. With mesh refinement, `suiting` gives the
+        default; without, it is 1e-9.
     max_iterations : int
         Limit of iterations on each mesh.
     max_wall_s : float, optional
         Wall-clock time limit for all meshes together [s].
     extra : tuple of (str, value)
-        Further options of Ipopt, as (name, value). They override all other settings, and a later
-        item overrides an earlier item of the same name.
+        Further options of Ipopt, as (name, value). They override all other settings. Of two options
+        with the same name, the later one applies.
     cold : tuple of (str, value)
         Further options of Ipopt for solves without a warm start, as (name, value).
     """
@@ -148,8 +148,8 @@ class SolverOptions:
     def suiting(self, tolerance: float) -> SolverOptions:
         """Return settings whose Ipopt tolerance suits the tolerance of the mesh refinement.
 
-        Ipopt's option `tol` becomes ``1e-3 * tolerance``, but at least 1e-11 and at most 1e-9. If
-        the caller has set a value, it remains.
+        Ipopt's option `tol` becomes ``1e-3 * tolerance``, but at least 1e-11 and at most 1e-9. A
+        value that the caller has set remains.
 
         Parameters
         ----------
@@ -162,8 +162,6 @@ class SolverOptions:
 
     def at_most(self, iterations: float) -> SolverOptions:
         """Return the settings with a limit of iterations that is at most the given limit.
-
-        The new limit is the lower of two: the limit in these settings, and the given limit.
 
         Parameters
         ----------
@@ -187,9 +185,8 @@ class SolverOptions:
     def on_central_path(self, parameter: float, distance: StartDistance) -> SolverOptions:
         """Return the settings for a warm start that converges to a point of the central path.
 
-        `StartDistance` defines the central path. The solve ends at a positive barrier parameter.
-        If many trajectories have nearly the same cost, the controls then change less from mesh to
-        mesh: see docs/theory/refinement.md, "The barrier's role".
+        The solve ends at a positive barrier parameter: see `StartDistance` and
+        docs/theory/refinement.md, "The barrier's role".
 
         Parameters
         ----------
@@ -206,6 +203,8 @@ class SolverOptions:
         # inactive would shorten nearly every step.
         elif distance is StartDistance.FAR:
             begun, chosen = _BEGUN_FAR, dict.fromkeys(_PUSHES, _MOVED_INSIDE) | _FALLING_SLOWLY
+        # If many trajectories have nearly the same cost, the positive final parameter selects one
+        # of them. The controls then change less from mesh to mesh.
         chosen["mu_init"] = max(parameter, begun)
         return replace(self, extra=(("mu_target", parameter), *self.extra, *chosen.items()))
 
@@ -220,8 +219,8 @@ class SolverOptions:
         change : float
             Expected change of the scaled objective.
         sides : int
-            Number of inequality bounds of the program (lower and upper bounds that are not equal).
-            The initial barrier parameter is derived from ``change / sides``.
+            Number of inequality bounds of the program, `Bounds.sides`. The initial barrier
+            parameter is derived from ``change / sides``.
         """
         # The barrier changes the objective by about the barrier parameter times `sides`. With a
         # parameter above ``change / sides``, the iterates would first move away from the warm start
@@ -242,8 +241,7 @@ class SolverOptions:
     def for_moving_limits(self) -> SolverOptions:
         """Return settings for a warm start if limits may become active at other times than before.
 
-        A limit is a bound of a variable or constraint. The settings move the start slightly inside
-        the bounds.
+        The settings move the start slightly inside the bounds of variables and constraints.
         """
         # If the start lies on a bound that becomes active at another time on the new mesh, the
         # bound shortens the first dozen steps of Ipopt.
@@ -264,7 +262,7 @@ class SolverOptions:
     def from_afar(self) -> SolverOptions:
         """Return the settings for a solve whose first point violates many inequalities.
 
-        They apply to solves without a warm start, and replace the attribute `cold`. The barrier
+        They replace the attribute `cold`, which applies to solves without a warm start. The barrier
         parameter begins at 0.1 and only decreases: see docs/decisions/speed.md.
         """
         # By default, Ipopt chooses the barrier parameter adaptively, and estimates its first value
@@ -273,9 +271,9 @@ class SolverOptions:
         return replace(self, cold=_FROM_AFAR)
 
     def from_a_flight(self) -> SolverOptions:
-        """Return the settings for a solve whose first point resembles a possible flight.
+        """Return the settings for a solve whose first point is a flight along a route.
 
-        They apply to solves without a warm start, and replace the attribute `cold`. The barrier
+        They replace the attribute `cold`, which applies to solves without a warm start. The barrier
         parameter is at most 0.01.
         """
         # The first value of Ipopt's adaptive barrier parameter may be near 1. The iterates then
@@ -285,8 +283,8 @@ class SolverOptions:
     def for_small_changes(self) -> SolverOptions:
         """Return the settings for a warm start on a mesh that differs little from the one before.
 
-        The start is the solution on the previous mesh. The settings move it inside its bounds. The
-        initial barrier parameter is 1e-10, instead of 1e-7 by default.
+        The settings move the start, which is the solution on the previous mesh, inside its bounds.
+        The initial barrier parameter is 1e-10, instead of 1e-7 by default.
         """
         # With a larger parameter, controls that hardly affect the objective would drift away from
         # their values on the previous mesh. The parameter was tested on a flight of 1 km against
@@ -304,8 +302,8 @@ class Iteration:
     iteration : int
         Number of the iteration, from 0 in each solve.
     objective : float
-        Objective of the nonlinear program, not negated if the Pyomo model maximises it. It includes
-        costs that an `ExtendedProgram` adds, such as damping or penalties of slacks.
+        Objective of the nonlinear program, not negated if the Pyomo model maximises it. Damping and
+        penalties of slacks are included.
     infeasibility, dual_infeasibility : float
         Largest violation of the scaled constraints, and of the scaled stationarity conditions
         (gradient of the Lagrangian equal to zero).
@@ -363,8 +361,7 @@ class Effort:
     def __call__(self, line: Iteration) -> bool | None:
         """Count an iteration; return False once a limit is exceeded, which stops the solve.
 
-        Within the limits, the result is that of the caller's own callback, or None without one.
-        `line` is the progress report of the iteration.
+        Within the limits, the result is that of the caller's callback, or None without a callback.
         """
         self.solves += line.iteration == 0
         self.count += line.iteration > 0
@@ -391,9 +388,8 @@ class IpoptResult:
     message : str
         Ipopt's own message.
     z : ndarray, shape (n_unknowns,)
-        The solution. After a failed or interrupted solve, it is the best recorded iterate. Its
-        constraint violation is less than ten times the least of all iterates. If the iterates
-        diverged, `z` is the last one.
+        The solution. After a failed or interrupted solve, the iterate with about the least
+        constraint violation (within a factor of ten). If the iterates diverged, the last iterate.
     multipliers : Multipliers
         Multipliers of constraints and bounds at the last iterate, for the unscaled program.
     iterations : int
@@ -439,37 +435,23 @@ class IpoptResult:
 class _Callbacks:
     """Callbacks that cyipopt calls during a solve; they record progress and the best iterate.
 
-    The first exception in a callback is stored in `error`. The function `run` raises it after Ipopt
-    has returned. If it is a KeyboardInterrupt, `run` returns the status `INTERRUPTED` instead.
-
-    Attributes
-    ----------
-    program : NonlinearProgram
-    progress : callable or None
-        The caller's callback, called at each iteration.
-    sign : float
-        -1 if the Pyomo model maximises its objective, else 1.
-    floor : float
-        Very low value of the objective. If the objective stays below it for several iterations, the
-        problem counts as unbounded.
-    below : int
-        Number of the latest consecutive iterations with an objective below `floor`.
-    history : list of Iteration
-        Progress reports of all iterations so far.
-    best : (float, ndarray)
-        Constraint violation and unknowns of the best iterate so far. An iterate replaces it if its
-        violation is at most a tenth.
-    error : exception or None
-        First exception that a callback raised.
+    The first exception in a callback is stored in `error`, and `run` raises it after Ipopt has
+    returned.
     """
 
     program: NonlinearProgram
     progress: Progress | None
+    # -1 if the Pyomo model maximises its objective, else 1.
     sign: float
+    # Objective below which the problem counts as unbounded, if it stays there for several
+    # iterations.
     floor: float
+    # Number of the latest consecutive iterations with an objective below `floor`.
     below: int = 0
     started: float = field(default_factory=time.perf_counter)
     history: list[Iteration] = field(default_factory=list)
+    # Constraint violation and unknowns of the best iterate. An iterate becomes the best if its
+    # violation is at most a tenth of the violation stored here.
     best: tuple[float, FloatArray | None] = (np.inf, None)
     error: BaseException | None = None
     # Ipopt evaluates the Jacobian at its iterates only, so this is the iterate. Asking Ipopt for it
@@ -478,21 +460,13 @@ class _Callbacks:
 
     @property
     def is_bottomless(self) -> bool:
-        """Whether the problem appears to be unbounded.
-
-        This is the case if the objective was below the attribute `floor` in each of the latest five
-        iterations.
-        """
+        """Whether the problem appears unbounded: five iterations in a row were below `floor`."""
         return self.below >= _PATIENCE_BELOW
 
     # Cached, because a program may rebuild its structure at each call.
     @cached_property
     def _sizes(self) -> dict[str, int]:
-        """Lengths of the arrays that the callbacks for constraints, Jacobian and Hessian return.
-
-        The keys are `constraints`, `jacobian` and `hessian`. The lengths are the number of
-        constraints, and the numbers of nonzeros of Jacobian and Hessian.
-        """
+        """Lengths of the arrays that the callbacks for constraints, Jacobian and Hessian return."""
         program = self.program
         return {
             "constraints": program.n_rows,
@@ -501,10 +475,9 @@ class _Callbacks:
         }
 
     def _guarded(self, name: str, z: FloatArray, *more: Any) -> FloatArray:
-        """Evaluate a method of the program at the unknowns `z`, and catch its exceptions.
+        """Evaluate the method `name` of the program at the unknowns `z`, and catch its exceptions.
 
-        `name` names the method, and `more` are its further arguments. Every evaluation from the
-        first exception on returns an array of NaN.
+        From the first exception on, each evaluation returns an array of NaN.
         """
         if self.error is None:
             try:
@@ -531,26 +504,21 @@ class _Callbacks:
         return self.program.jacobianstructure()
 
     def jacobian(self, z: FloatArray) -> FloatArray:
-        """Return the nonzeros of the constraints' Jacobian at the unknowns `z`, for Ipopt.
-
-        The method also stores `z` as the current iterate. This is correct because Ipopt evaluates
-        the Jacobian at iterates only, and not at trial points of the line search.
-        """
+        """Return the nonzeros of the constraints' Jacobian, and store `z` as the iterate."""
         self.iterate = np.array(z)
         return self._guarded("jacobian", z)
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+        """Return row and column indices of the nonzeros of the Lagrangian's Hessian.
 
-        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        Only the lower triangle is given.
         """
         return self.program.hessianstructure()
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
         """Return the nonzeros of the Hessian of factor * objective + multipliers . constraints.
 
-        The nonzeros are those of the lower triangle at the unknowns `z`. `multipliers` has one
-        value per constraint.
+        The nonzeros are those of the lower triangle.
         """
         return self._guarded("hessian", z, multipliers, factor)
 
@@ -566,23 +534,8 @@ class _Callbacks:
     ) -> bool:
         """Record an iteration and the best iterate; return False to stop Ipopt.
 
-        Ipopt stops after an exception in a callback, if the caller's callback returns False, or if
-        the problem appears to be unbounded.
-
-        Parameters
-        ----------
-        iteration : int
-            Number of the iteration.
-        objective : float
-            Objective to minimise.
-        infeasibility, dual_infeasibility : float
-            Largest violation of the scaled constraints, and of the scaled stationarity conditions.
-        barrier : float
-            Barrier parameter.
-
-        Notes
-        -----
-        Further arguments from Ipopt are not used.
+        The result is False after an exception, for an unbounded problem, or if the caller's
+        callback returns False.
         """
         if self.error is not None:
             return False
@@ -690,6 +643,7 @@ def run(
     Returns
     -------
     IpoptResult
+        After a KeyboardInterrupt, its status is `INTERRUPTED`.
 
     Raises
     ------
@@ -698,8 +652,7 @@ def run(
     MemoryError
         If Ipopt ran out of memory.
     Exception
-        The first exception that a callback raised. It is raised after Ipopt has returned. For a
-        KeyboardInterrupt, the result has the status `INTERRUPTED` instead.
+        The first exception in a callback, raised after Ipopt has returned.
     """
     idle = bounds.surplus + 1
     if idle > 0:
@@ -742,19 +695,9 @@ def run(
 def _with_idle_unknowns(
     program: NonlinearProgram, own: int, idle: int, weight: float
 ) -> ExtendedProgram:
-    """Return a program with added unknowns, so that Ipopt does not treat it as a square system.
+    """Return a program with `idle` more unknowns, so that Ipopt does not treat it as square.
 
-    Each added unknown occurs only as a square in the objective. The original optimum is unchanged.
-
-    Parameters
-    ----------
-    program : NonlinearProgram
-    own : int
-        Number of unknowns of the program.
-    idle : int
-        Number of unknowns to add after the unknowns of the program.
-    weight : float
-        Weight of the squares of the added unknowns in the objective.
+    Each added unknown occurs only as a square in the objective, so the optimum is unchanged.
     """
     # If a program has as many equations as free unknowns, Ipopt ignores the objective, and stops at
     # the first point that satisfies the equations. With more equations, it refuses the program.
@@ -800,18 +743,17 @@ def run_past_the_barrier(
 ) -> IpoptResult:
     """Solve a program by Ipopt, and repeat the solve until the complementarity gap is negligible.
 
-    `barrier_gap` returns the gap. There are at most two repetitions of at most 100 iterations. Each
-    of them scales the objective by a larger factor, so that Ipopt ends at a smaller gap. If a
-    repetition fails or is interrupted, the result of the solve before it is returned.
+    `barrier_gap` returns the gap. At most two repetitions with at most 100 iterations each follow.
+    If a repetition fails or is interrupted, the result of the previous solve is returned.
 
     Parameters
     ----------
     program, bounds, scaling, start
-        The nonlinear program with the bounds of its unknowns and constraints, its scaling factors,
-        and the initial point.
+        Nonlinear program, bounds of its unknowns and constraints, scaling factors, and initial
+        point.
     size : callable
-        Unknowns -> magnitude of the objective, for example `Transcription.objective_size`. The gap
-        is compared with this magnitude.
+        Unknowns -> magnitude of the objective, with which the gap is compared. An example is
+        `Transcription.objective_size`.
     options : SolverOptions
     multipliers : Multipliers, optional
         Initial multipliers of a warm start.
@@ -838,6 +780,7 @@ def run_past_the_barrier(
         excess = max(gap / (share * own), SEEN / (own * factor))
         if excess <= 1.0:
             break
+        # With a larger factor on the objective, Ipopt ends at a smaller gap.
         factor *= min(_AIMED * excess, _LARGEST_STEP)
         steeper = replace(scaling, objective=factor)
         sharper = solve(steeper, result.z, options=fewer, multipliers=result.multipliers)
@@ -850,13 +793,7 @@ def run_past_the_barrier(
 def _set_options(problem: Any, options: SolverOptions, *, is_warm: bool) -> None:
     """Pass options to Ipopt: defaults, settings for a warm or cold start, the caller's options.
 
-    Later options override earlier ones. `problem` is cyipopt's problem object, which receives the
-    options. `is_warm` is true for a solve that starts from given multipliers.
-
-    Raises
-    ------
-    TranscriptionError
-        If Ipopt does not accept an option, or cannot load the linear solver that an option names.
+    If an option is unknown or its linear solver cannot be loaded, a `TranscriptionError` is raised.
     """
     chosen = _DEFAULTS | {
         "tol": options.tolerance or _TOLERANCE,
@@ -879,25 +816,8 @@ def _result(
 ) -> IpoptResult:
     """Return the outcome of Ipopt as an `IpoptResult`.
 
-    After a successful solve, the unknowns of the result are `z`. After a failed or interrupted
-    solve, they are the best iterate that `callbacks` recorded. If the iterates diverged, they are
-    `z` again.
-
-    Parameters
-    ----------
-    callbacks : _Callbacks
-        Recorded progress, and the best recorded iterate.
-    z, info : ndarray, dict
-        The results of cyipopt: unknowns, and further information.
-    wall : float
-        Wall-clock time [s].
-    stopped : bool
-        Whether a KeyboardInterrupt stopped the solve.
-
-    Raises
-    ------
-    MemoryError
-        If Ipopt ran out of memory.
+    After a failed or interrupted solve, the result has the best recorded iterate, unless the
+    iterates diverged.
     """
     code = _STOPPED if stopped else int(info["status"])
     if code == _NO_MEMORY:

@@ -1,7 +1,6 @@
 """Check that Ipopt can load the linear solver that its options name.
 
-If Ipopt cannot load the solver, the solve fails or the whole process ends. The check finds this
-before the solve, and raises an error that names the solver.
+Without the check, the solve of a model would fail or the whole process would end.
 """
 
 from __future__ import annotations
@@ -68,10 +67,9 @@ def refuse_absent_solver(options: Mapping[str, Any]) -> None:
 
 @lru_cache
 def _is_loaded(options: str) -> bool:
-    """Return whether Ipopt solves a small problem with the given options, in a separate process.
+    """Return whether Ipopt solves a small problem with the given options within 60 s.
 
-    Ipopt solves the problem only if it can load the linear solver that the options name. After 60 s
-    without an end, the result is False. `options` is a JSON text of option names and values.
+    `options` is a JSON text of option names and values.
     """
     try:
         probe = subprocess.run(  # noqa: S603  our own interpreter and program

@@ -45,13 +45,13 @@ class Bounds:
 
     @property
     def surplus(self) -> int:
-        """Number of equations minus number of free unknowns (unknowns with unequal bounds)."""
+        """Number of equations minus number of free unknowns (unknowns with different bounds)."""
         equations = int(np.sum(self.row_lower == self.row_upper))
         return equations - int(np.sum(self.lower < self.upper))
 
     @property
     def sides(self) -> int:
-        """Number of finite inequality bounds: lower and upper bounds that are not equal."""
+        """Number of finite inequality bounds, where lower and upper bound differ."""
         pairs = ((self.lower, self.upper), (self.row_lower, self.row_upper))
         return sum(
             int(np.count_nonzero(np.isfinite(side) & (lower < upper)))
@@ -62,7 +62,7 @@ class Bounds:
     def part(self, columns: Any, rows: Any) -> Bounds:
         """Return the bounds of chosen unknowns and constraints.
 
-        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        `columns` are the positions of the unknowns (indices or a slice), `rows` those of the
         constraints.
         """
         return Bounds(
@@ -79,8 +79,7 @@ class Bounds:
     ) -> Bounds:
         """Return these bounds, followed by bounds of additional unknowns and constraints ("rows").
 
-        `unknowns` has the bounds of the additional unknowns, and `rows` those of the additional
-        constraints. Both are pairs of arrays: lower bounds, upper bounds.
+        `unknowns` and `rows` are pairs of arrays: lower bounds, upper bounds.
         """
         return Bounds(
             lower=np.append(self.lower, unknowns[0]),
@@ -118,7 +117,7 @@ class Scaling:
     def part(self, columns: Any, rows: Any) -> Scaling:
         """Return the scaling of chosen unknowns and constraints; the objective keeps its factor.
 
-        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        `columns` are the positions of the unknowns (indices or a slice), `rows` those of the
         constraints.
         """
         return replace(self, unknowns=self.unknowns[columns], rows=self.rows[rows])
@@ -156,7 +155,7 @@ class Multipliers:
     def part(self, columns: Any, rows: Any) -> Multipliers:
         """Return the multipliers of chosen unknowns' bounds and of chosen constraints.
 
-        `columns` are the positions of the chosen unknowns (indices or a slice), `rows` those of the
+        `columns` are the positions of the unknowns (indices or a slice), `rows` those of the
         constraints.
         """
         return Multipliers(
@@ -209,9 +208,9 @@ class NonlinearProgram(Protocol):
         """
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+        """Return row and column indices of the nonzeros of the Lagrangian's Hessian.
 
-        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        Only the lower triangle is given.
         """
 
     def hessian(self, z: FloatArray, multipliers: FloatArray, factor: float) -> FloatArray:
@@ -231,11 +230,10 @@ class ExtendedProgram:
     """Nonlinear program with further unknowns s, linear terms and quadratic costs added to it.
 
     The original program has n unknowns z, n_rows constraints c(z) and the objective f(z). The
-    extended program has the unknowns w = (z, s), with n_more unknowns s, and n_more_rows further
-    constraints.
+    extended program has the unknowns w = (z, s), with n_more unknowns s.
 
     - Objective: ``share * f(z) + prices @ s + sum(weights / 2 * (w[columns] - near)**2)``.
-    - Constraints: ``c(z)``, extended by n_more_rows zeros, plus ``terms @ w``.
+    - Constraints: ``c(z) + terms @ w``, where c(z) = 0 in the n_more_rows further constraints.
 
     Attributes
     ----------
@@ -250,8 +248,8 @@ class ExtendedProgram:
     weights, near : ndarray, shape (k,)
         For each of these unknowns: weight of the cost, and value at which the cost is zero.
     terms : csr_array, shape (n_rows + n_more_rows, n + n_more), optional
-        Coefficients of the linear terms of all constraints. The matrix must have no entry where the
-        Jacobian of the original program has one.
+        Coefficients of the linear terms. No entry may coincide with an entry of the original
+        program's Jacobian.
     """
 
     program: Any
@@ -276,16 +274,12 @@ class ExtendedProgram:
     def is_negated(self) -> bool:
         """Whether the Pyomo model maximises its objective, so that the negative is minimised.
 
-        If `share` is 0, the original objective is left out, and the value is False.
+        The value is False if `share` is 0, which leaves the original objective out.
         """
         return bool(self.share and self.program.is_negated)
 
     def split(self, w: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Split all unknowns into those of the original program and the added unknowns.
-
-        `w` has the n unknowns of the original program first, then the n_more added unknowns. The
-        result is the pair of these two arrays.
-        """
+        """Split all unknowns `w` into those of the original program and the added unknowns."""
         own = w.size - self.prices.size
         return w[:own], w[own:]
 
@@ -297,11 +291,7 @@ class ExtendedProgram:
         return own + float(self.prices @ more + 0.5 * (self.weights @ away**2))
 
     def gradient(self, w: FloatArray) -> FloatArray:
-        """Return the gradient of the objective to minimise at `w`, shape (n + n_more,).
-
-        `w` are all unknowns: the n unknowns of the original program, then the n_more added
-        unknowns.
-        """
+        """Return the gradient of the objective to minimise at `w`, shape (n + n_more,)."""
         z, _ = self.split(w)
         own = self.share * self.program.gradient(z) if self.share else np.zeros(z.size)
         gradient = np.append(own, self.prices)
@@ -309,11 +299,7 @@ class ExtendedProgram:
         return gradient
 
     def constraints(self, w: FloatArray) -> FloatArray:
-        """Return the values of all constraints at the unknowns `w`.
-
-        The constraints of the original program come first, then the added constraints. There is one
-        value per constraint.
-        """
+        """Return the values of all constraints at the unknowns `w`, the added constraints last."""
         own = self.program.constraints(self.split(w)[0])
         if self.terms is None:
             return np.asarray(own)
@@ -338,9 +324,9 @@ class ExtendedProgram:
         return np.asarray(own if self.terms is None else np.append(own, self.terms.data))
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+        """Return row and column indices of the nonzeros of the Lagrangian's Hessian.
 
-        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        Only the lower triangle is given.
         """
         rows, columns = self.program.hessianstructure()
         return np.append(rows, self.columns), np.append(columns, self.columns)

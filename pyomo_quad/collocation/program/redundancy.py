@@ -4,9 +4,8 @@ A condition is a constraint at declared times (members of the continuous set) or
 redundant if it follows from the other equations. For example, the initial conditions imply an end
 condition on a conserved quantity.
 
-On a mesh, the other equations imply the redundant condition only up to the discretisation error. A
-program that imposes the condition may therefore have no solution, or only a single one with an
-unbounded multiplier.
+On a mesh, it follows only up to the discretisation error. A program that imposes it may have no
+solution, or a single one with unbounded multipliers.
 """
 
 from __future__ import annotations
@@ -45,19 +44,16 @@ FORGIVEN = 1e-4
 class Candidate:
     """Condition that may be redundant, because it follows from other equations.
 
-    A condition is a constraint at declared times (members of the continuous set) or without time.
-    The fixed value of a state at a declared time, or of a variable without time, also counts.
+    A condition is a constraint at declared times or without time, or the fixed value of a variable.
 
     Attributes
     ----------
     name : str
         Name of the condition, or of the fixed variable and its time.
     key : str or (str, float)
-        Key of the condition in the list of conditions to leave out. The key of a constraint is its
-        name. The key of a fixed value is (variable name, fraction of the horizon).
+        Name of the constraint, or (variable name, fraction of the horizon) of the fixed value.
     row, column : int
-        Index of the condition in the program: `row` if it is a constraint, `column` if it fixes an
-        unknown. The attribute that does not apply is -1.
+        Index of the constraint, or of the fixed unknown, in the program. The other attribute is -1.
     """
 
     name: str
@@ -69,20 +65,11 @@ class Candidate:
 def _candidates(
     program: Transcription, bounds: Bounds, fixed: dict[tuple[str, float], float]
 ) -> Iterator[Candidate]:
-    """Yield the equality conditions that may turn out to be redundant, in a fixed order.
+    """Yield the equality conditions that may be redundant, without fixed initial states.
 
-    A condition is a constraint or a fixed value at declared times. Initial values are not yielded:
-    these are fixed values of single states at the start of the horizon.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program on one mesh.
-    bounds : Bounds
-        Bounds of the program.
-    fixed : dict
-        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
+    `fixed` maps (variable name, fraction of the horizon) to fixed values.
     """
+    # The order is the same on every mesh.
     conditions = program.compiled.declared.conditions
     for k, condition in enumerate(conditions):
         row = program.first_condition_row + k
@@ -111,9 +98,9 @@ def redundant_conditions(
 ) -> tuple[Candidate, ...]:
     """Return the conditions (constraints or fixed values at declared times) that are redundant.
 
-    A condition is redundant if its gradient is a linear combination of the gradients of the
-    equations over time and of the conditions tested before it. Remainders below 1e-4 of the scaled
-    gradient count as zero.
+    A condition is redundant if its scaled gradient lies in the span of two sets of gradients: those
+    of the equations over time, and those of the conditions found independent before. A part outside
+    the span below 1e-4 of the gradient counts as zero.
 
     Parameters
     ----------
@@ -138,6 +125,7 @@ def redundant_conditions(
         return ()
     held = np.array([c.column for c in candidates if c.column >= 0], dtype=np.intp)
     is_free = bounds.lower < bounds.upper
+    # An unknown fixed by a condition counts as free, because the condition is tested.
     is_free[held] = True
     free = np.flatnonzero(is_free)
     rows, columns = program.jacobianstructure()
@@ -164,22 +152,8 @@ def _slopes_of(
 ) -> list[FloatArray]:
     """Return the scaled gradients of conditions with respect to the free unknowns.
 
-    An unknown is free if its bounds are unequal, or if one of the conditions fixes it.
-
-    Parameters
-    ----------
-    candidates : list of Candidate
-        The conditions: constraints at declared times, or values fixed at declared times.
-    slopes : sparse array, shape (n_rows, n_free)
-        Scaled Jacobian of all constraints with respect to the free unknowns.
-    free : ndarray of int, shape (n_free,)
-        Positions of the free unknowns among all unknowns.
-
-    Returns
-    -------
-    list of ndarray, shape (n_free,)
-        One gradient per condition. The gradient of a condition that fixes an unknown is a unit
-        vector.
+    `slopes` is the scaled Jacobian, shape (n_rows, n_free); `free` has the positions of these
+    unknowns.
     """
     at = {int(column): k for k, column in enumerate(free)}
     found = []
@@ -194,11 +168,7 @@ def _slopes_of(
 
 
 def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[FloatArray]:
-    """Return the part of each vector that is orthogonal to the gradients of all equations.
-
-    `equations` is a sparse matrix with one gradient per row, and `vectors` are gradients of
-    conditions.
-    """
+    """Return the part of each vector that is orthogonal to all rows of `equations`."""
     m, n = equations.shape
     system = block_array(
         [[identity(n), equations.T], [equations, -_REGULAR * identity(m)]], format="csc"
@@ -209,11 +179,7 @@ def _orthogonal_parts(equations: coo_array, vectors: list[FloatArray]) -> list[F
 
 
 def without(instance: Instance, left_out: tuple[Candidate, ...]) -> Instance:
-    """Return a copy of the data of a solve, in which some conditions are not imposed.
-
-    `instance` has the data of the solve: parameters, horizon, and values fixed at declared times.
-    `left_out` are the conditions to leave out: constraints or fixed values at declared times.
-    """
+    """Return a copy of the data of a solve, in which the conditions `left_out` are not imposed."""
     keys = {candidate.key for candidate in left_out}
     return replace(
         instance,
@@ -235,14 +201,14 @@ def misses(
     Parameters
     ----------
     left_out : tuple of Candidate
-        The conditions (constraints or fixed values at declared times) left out.
+        The conditions that were left out.
     program : Transcription
         Program of the last mesh.
     bounds : Bounds
         Bounds of the program with all conditions imposed.
     fixed : dict
-        Values of variables fixed at declared times, by (variable name, fraction of the horizon);
-        including the values that were left out.
+        Values of variables fixed at declared times, by (variable name, fraction of the horizon).
+        Values that were left out are included.
     scaling : Scaling
         Factors of the constraints and the unknowns.
     z : ndarray, shape (n_unknowns,)
@@ -251,8 +217,8 @@ def misses(
     Returns
     -------
     list of float
-        Absolute violation of each condition, multiplied by the scaling factor of its constraint or
-        fixed unknown. The order is that of `redundant_conditions`.
+        Absolute violation of each condition times its scaling factor, in the order of
+        `redundant_conditions`.
     """
     values, keys = program.constraints(z), {candidate.key for candidate in left_out}
     found = []

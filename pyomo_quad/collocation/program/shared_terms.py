@@ -1,13 +1,11 @@
 """Merging of equal terms in equations and derivatives, without writing out data of tables.
 
-CasADi differentiates column after column, so that a Jacobian or Hessian contains many terms more
-than once. The function `casadi.cse` merges equal terms, and leaves every result the same to the
-last bit. It would, however, write out the whole table of each call of an interpolation table. This
-takes a second for a table of a million numbers.
+In a Jacobian or Hessian by CasADi, many terms occur more than once. The function `casadi.cse`
+merges equal terms without changing any result. However, it would write out the whole table of each
+interpolation: a second for a million numbers.
 
-Symbols therefore replace the results of these calls while equal terms are merged. Differentiation
-treats the symbols as constants. This is correct, because the results are Taylor coefficients, which
-count as constants (see `collocation.reading.local_splines`).
+Symbols therefore replace the results of tables while terms are merged. Differentiation may treat
+them as constants, because they are Taylor coefficients: see `collocation.reading.local_splines`.
 """
 
 from __future__ import annotations
@@ -27,18 +25,16 @@ if TYPE_CHECKING:
 class WithoutCalls:
     """Column of CasADi expressions in which symbols replace the calls of interpolation tables.
 
-    With symbols in place of the calls, `casadi.cse` can merge equal terms of the expressions and of
-    their derivatives, without writing out the data of the tables. If the expressions also call
-    another function, no call is replaced.
+    The function `casadi.cse` can then merge equal terms without writing out the tables. If the
+    expressions also call another CasADi function, no call is replaced.
 
     Attributes
     ----------
     rows : casadi.SX
-        The expressions. Each term occurs once, unless the expressions call another function.
+        The expressions. If a call was not replaced, equal terms are not merged.
     calls : tuple of (casadi.SX, casadi.Function, casadi.SX)
-        For each call of a table: the symbols that stand for its result, the function that evaluates
-        the table, and the arguments of the call. The calls are in the order of evaluation, because
-        arguments may contain the symbols of earlier calls.
+        For each call of a table: symbols of its result, function that evaluates the table,
+        arguments. Arguments may contain symbols of earlier calls.
     """
 
     rows: Any
@@ -48,8 +44,7 @@ class WithoutCalls:
     def of(cls, rows: Any, inputs: Sequence[Any]) -> Self:
         """Replace each call of an interpolation table in a column of expressions by symbols.
 
-        If the expressions also call another CasADi function, whose results have derivatives, they
-        are returned unchanged.
+        If the expressions also call another CasADi function, they are returned unchanged.
 
         Parameters
         ----------
@@ -99,20 +94,19 @@ class WithoutCalls:
         Parameters
         ----------
         column : casadi.SX
-            Expressions computed from this object's expressions (the attribute `rows`), such as the
-            nonzeros of their Jacobian. Symbols stand for the results of calls.
+            Expressions computed from the attribute `rows`, such as the nonzeros of its Jacobian.
 
         Returns
         -------
         casadi.SX
-            The merged column, with the calls in place of these symbols.
+            The merged column, in which calls replace the symbols.
         """
         return self.with_calls(casadi.cse(column))
 
     def with_calls(self, column: Any) -> Any:
         """Insert calls of interpolation tables in place of the symbols that stand for them.
 
-        `column` is a column of expressions computed from this object's expressions.
+        `column` holds expressions computed from the attribute `rows`.
         """
         found = column
         for results, called, arguments in reversed(self.calls):

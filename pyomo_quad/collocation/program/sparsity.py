@@ -1,9 +1,9 @@
 """Layout of the unknowns, sparsity patterns of derivatives, and assembly of their nonzeros.
 
-The derivatives at a single collocation point have the same sparsity pattern at all points. Each
-derivative is added to one or more nonzeros of the program's sparse matrices, whose positions are
-computed once per mesh. The time derivatives of the states are linear combinations of the states,
-not unknowns: see docs/theory/transcription.md, eq. (4).
+The derivatives at a single collocation point have the same sparsity pattern at all points. They are
+added to nonzeros of the program's sparse matrices, whose positions are computed once per mesh. The
+time derivatives of the states are linear combinations of the states, not unknowns: see
+docs/theory/transcription.md, eq. (4).
 """
 
 from __future__ import annotations
@@ -33,8 +33,7 @@ class Layout:
     """Positions of the variables among the unknowns of the nonlinear program on one mesh.
 
     The order is: states at the start of the horizon; algebraic variables and states of each
-    collocation point; static variables (without time). A position is called a column, as in the
-    Jacobian.
+    collocation point; static variables (without time). A position is also called a column.
 
     Attributes
     ----------
@@ -76,8 +75,7 @@ class Layout:
     def state_columns(self) -> IndexArray:
         """Positions of the states among the program's unknowns, shape (n_points + 1, n_states).
 
-        There is one row per node; the nodes are the start of the horizon and the collocation
-        points.
+        There is one row for the start of the horizon, then one for each collocation point.
         """
         if self.mesh is None:
             return np.zeros((0, 0), dtype=np.intp)
@@ -87,8 +85,8 @@ class Layout:
     def state_column(self, name: str, fraction: float) -> int:
         """Return the position, among the unknowns, of a state at the node nearest to a given time.
 
-        `fraction` is the time as a fraction of the horizon. The result is -1 if the model has no
-        time, or no state called `name`.
+        `fraction` is the time as a fraction of the horizon. The result is -1 if there is no state
+        called `name`.
         """
         states = [slot.name for slot in self.declared.states]
         if self.mesh is None or name not in states:
@@ -166,20 +164,18 @@ class Layout:
     def condition_variables(self) -> csr_matrix:
         """Matrix that maps the unknowns to the variables of conditions and objective.
 
-        The first rows are those of `point_values`. Then follows one row per static variable
-        (variable without time). Integrals in the objective have no row. There is one column per
-        unknown.
+        The rows are those of `point_values`, then one per static variable (without time). Integrals
+        have no row.
         """
         statics = _chosen(self.static_columns, self.unknowns)
         return vstack([self.point_values, statics], format="csr")
 
     @cached_property
     def point_values(self) -> csr_matrix:
-        """Matrix from the unknowns to the values at declared times that the model refers to.
+        """Matrix from the unknowns to the values at declared times in conditions and objective.
 
-        The values are those of variables and of derivatives in conditions and objective. Declared
-        times are the members of the continuous set. There is one row per value, and one column per
-        unknown.
+        A value is that of a variable or of its derivative. Declared times are the members of the
+        continuous set.
         """
         rows: list[int] = []
         columns: list[int] = []
@@ -194,11 +190,7 @@ class Layout:
         return csr_matrix((weights, (rows, columns)), shape=shape)
 
     def _at_point(self, symbol: PointSymbol) -> tuple[IndexArray, FloatArray]:
-        """Return positions and weights of the unknowns that give a value at a declared time.
-
-        The value is the weighted sum of these unknowns. `symbol` identifies the variable, or its
-        derivative, and the declared time.
-        """
+        """Return positions and weights of the unknowns whose weighted sum is `symbol`."""
         if self.mesh is None:
             return np.zeros(0, dtype=np.intp), np.zeros(0)
         element = int(self.mesh.locate(np.array([symbol.fraction]))[0])
@@ -221,11 +213,7 @@ class Layout:
 
 
 def _nonzero(columns: IndexArray, weights: FloatArray) -> tuple[IndexArray, FloatArray]:
-    """Remove the unknowns with weight zero from the terms of an interpolated value.
-
-    The value is the sum of unknowns times weights. `columns` are the positions of these unknowns,
-    and `weights` their weights. The result has the positions and weights that remain.
-    """
+    """Return the positions and weights whose weight is not zero."""
     kept = weights != 0.0
     return columns[kept], weights[kept]
 
@@ -252,20 +240,16 @@ class Contributions:
     def add(self, rows: Any, columns: Any, sources: Any, weights: Any) -> None:
         """Add contributions: the entry at (row, column) increases by weight times source.
 
-        A source is a number that a CasADi function returns at each evaluation.
+        The arrays are broadcast against each other.
 
         Parameters
         ----------
         rows, columns : array_like of int
-            Position in the assembled matrix of the entry that each contribution increases.
+            Position in the matrix of the entry that each contribution increases.
         sources : array_like of int
             Position of each source among the values that CasADi returns.
         weights : array_like
             Factor of each source.
-
-        Notes
-        -----
-        The arrays are broadcast against each other.
         """
         rows, columns, sources, weights = np.broadcast_arrays(rows, columns, sources, weights)
         kept = weights != 0.0
@@ -277,8 +261,8 @@ class Contributions:
     ) -> None:
         """Add derivatives with respect to variables that are linear combinations of the unknowns.
 
-        By the chain rule, a derivative with respect to a variable contributes to several columns:
-        those of the unknowns in the linear combination.
+        By the chain rule, a derivative contributes to the columns of all unknowns in the linear
+        combination.
 
         Parameters
         ----------
@@ -303,6 +287,10 @@ class Contributions:
     ) -> None:
         """Add second derivatives with respect to pairs of variables, each pair given once.
 
+        Let h be the second derivative with respect to the variables i and j. With the rows v_i and
+        v_j of `variables`, it contributes ``h * outer(v_i, v_j)`` to the Hessian, plus its
+        transpose if i and j differ. Only the lower triangle is assembled.
+
         Parameters
         ----------
         variables : csr_matrix, shape (n_variables, n_unknowns)
@@ -311,17 +299,6 @@ class Contributions:
             Indices of the two variables of each second derivative.
         sources : ndarray of int
             Position of each second derivative among the values that CasADi returns.
-
-        Notes
-        -----
-        Let h be the second derivative with respect to the variables i and j, and let v_i and v_j be
-        the rows i and j of `variables`. By the chain rule, the Hessian with respect to the unknowns
-        contains the matrix ``h * outer(v_i, v_j)``. Only the lower triangle is assembled.
-
-        - If i equals j, the matrix is symmetric. Its lower triangle is added.
-        - If i and j differ, the pair (j, i) is not given separately. The Hessian contains the
-          matrix plus its transpose. Each entry of the matrix above the diagonal is therefore added
-          at its mirrored position below the diagonal, and the entries on the diagonal are doubled.
         """
         one = variables[first].tocoo()
         other = variables[second[one.row]].tocoo()
@@ -329,6 +306,8 @@ class Contributions:
         a, b = one.col[other.row], other.col
         weights = one.data[other.row] * other.data
         is_square = (first == second)[pair]
+        # For i = j, the lower triangle is added. For other pairs, an entry above the diagonal is
+        # added at its mirrored position, and entries on the diagonal are doubled.
         weights = np.where(
             is_square, np.where(a >= b, weights, 0.0), np.where(a == b, 2.0, 1.0) * weights
         )
@@ -337,8 +316,8 @@ class Contributions:
     def scatter(self, n_columns: int, n_sources: int) -> Scatter:
         """Return the sparsity pattern, and the map from CasADi's values to the matrix's nonzeros.
 
-        `n_columns` is the number of columns of the matrix, and `n_sources` the number of values
-        (sources) that CasADi returns. Contributions to the same entry are added.
+        Contributions to the same entry are added. `n_sources` is the number of values that CasADi
+        returns.
         """
         empty = (np.zeros(0, dtype=np.int32),) * 3 + (np.zeros(0),)
         rows, columns, sources, weights = (
@@ -355,8 +334,8 @@ class Contributions:
 class Scatter:
     """Assembly of a sparse matrix: its sparsity pattern, and a linear map to its nonzeros.
 
-    The linear map computes the nonzeros of the sparse matrix from the sources. A source is a number
-    that a CasADi function returns at each evaluation.
+    The map computes the nonzeros from the sources, which are numbers that a CasADi function
+    returns.
 
     Attributes
     ----------
@@ -382,25 +361,22 @@ class Scatter:
 class JacobianScatter:
     """Assembly of the constraints' Jacobian and objective's gradient from derivatives at points.
 
-    The inputs of the linear maps are called sources; `jacobian_scatter` gives their order. A direct
-    integral appears in the objective itself. For any other integral, a constraint makes a static
-    variable (a variable without time) equal to the integral.
+    The inputs of the linear maps are the sources listed in `jacobian_scatter`. A direct integral
+    appears in the objective itself. A static variable (without time) represents any other integral.
 
     Attributes
     ----------
     rows : Scatter
         Linear map from the sources to the Jacobian of the constraints.
     objective : Scatter
-        Linear map from the sources to the gradient of the objective. Direct integrals are held
-        constant in this gradient.
+        Linear map from the sources to the gradient of the objective for constant direct integrals.
     integrals : tuple of Scatter
         For each direct integral: linear map from the sources to the gradient of the integral.
     slope_sources : ndarray of int
-        Positions of the derivatives of the objective with respect to direct integrals, in the
-        argument of `objective_slopes`. Derivatives that are always zero have no position.
+        Positions, among the sources of conditions and objective, of the objective's derivatives
+        with respect to direct integrals. Structural zeros are left out.
     slope_integrals : ndarray of int
-        For each derivative in `slope_sources`, the position of its integral among the direct
-        integrals.
+        Index of the direct integral for each entry of `slope_sources`.
     n_integrals : int
         Number of direct integrals.
     n_path_sources : int
@@ -421,8 +397,8 @@ class JacobianScatter:
     def objective_slopes(self, point_sources: FloatArray) -> FloatArray:
         """Return the objective's derivative with respect to each direct integral.
 
-        `point_sources` are the derivatives of conditions (constraints not over time) and
-        objective, as CasADi returned them. The result has the shape (n_integrals,).
+        The shape is (n_integrals,). `point_sources` are the derivatives of conditions and
+        objective, as CasADi returned them.
         """
         slopes = np.zeros(self.n_integrals)
         slopes[self.slope_integrals] = point_sources[self.slope_sources]
@@ -431,17 +407,14 @@ class JacobianScatter:
     def gradient(self, sources: FloatArray, slopes: FloatArray) -> FloatArray:
         """Return the dense gradient of the Pyomo model's objective, shape (n_unknowns,).
 
-        It is not negated if the model maximises the objective.
+        The gradient is not negated if the model maximises the objective.
 
         Parameters
         ----------
         sources : ndarray, shape (n_sources,)
-            The values that CasADi returned for the first derivatives: those of path equations and
-            integrands, then those of conditions (constraints not over time) and objective. The
-            last entry is a constant 1, which only the Jacobian of the constraints uses.
+            The derivatives from CasADi, in the order of `jacobian_scatter`.
         slopes : ndarray, shape (n_integrals,)
-            Derivatives of the objective with respect to the integrals that enter it directly.
-            Integrals that a static variable (variable without time) represents are left out.
+            Derivatives of the objective with respect to the direct integrals.
         """
         dense = np.zeros(self.unknowns)
         dense[self.objective.columns] = self.objective.values(sources)
@@ -453,12 +426,11 @@ class JacobianScatter:
 def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter:
     """Return the linear maps that assemble Jacobian and gradient from derivatives at points.
 
-    The inputs of the maps are called sources. They are, in this order:
+    The inputs of the maps are called sources. In order, they are
 
     - the nonzeros of the Jacobian of path equations and integrands, point by point;
     - the nonzeros of the Jacobian of conditions (constraints not over time) and objective;
-    - the number 1: the derivative, with respect to the static variable (without time), of a
-      constraint ``variable - integral = 0``.
+    - the number 1, as the derivative of ``variable - integral = 0`` by the variable.
     """
     path, points = compiled.path, compiled.points
     n_path = layout.points * len(path.jacobian_rows)
@@ -509,7 +481,7 @@ def jacobian_scatter(compiled: CompiledModel, layout: Layout) -> JacobianScatter
 def hessian_scatter(compiled: CompiledModel, layout: Layout) -> Scatter:
     """Return the linear map to the lower triangle of the Lagrangian's Hessian.
 
-    The inputs of the map are called sources. They are, in this order:
+    The inputs of the map are, in this order:
 
     - the nonzeros of the Hessians of path equations and integrands, point by point;
     - the nonzeros of the Hessian of conditions (constraints not over time) and objective.

@@ -1,9 +1,9 @@
 """Nonlinear program of a compiled model on one mesh, and names of its constraints and unknowns.
 
-The unknowns are the states at the nodes, the algebraic variables at the collocation points, and the
-static variables (without time). The time derivatives of the states are linear combinations of the
-states at the nodes: see docs/theory/transcription.md, eq. (4). Integrals over the horizon are
-weighted sums over the collocation points (Radau quadrature), eq. (5).
+The unknowns are states at the nodes, algebraic variables at the collocation points, and static
+variables (without time). The time derivatives of the states are linear combinations of the states
+at the nodes: see docs/theory/transcription.md, eq. (4). Integrals over the horizon are weighted
+sums over the collocation points (Radau quadrature), eq. (5).
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Place:
         Full name of the equation or variable.
     time : float, optional
         Time according to `Transcription.time_of`. None for a variable without time, and for a
-        constraint that is imposed only once.
+        constraint that is not imposed at each collocation point.
     element, point : int, optional
         Index of the element, from 0, and number of the collocation point in the element, from 1.
     """
@@ -59,11 +59,7 @@ class Place:
 
 
 def _at_point(program: Transcription, name: str, point: int) -> Place:
-    """Return name, time, element and point (a `Place`) of an equation or variable at a point.
-
-    The point is a collocation point of the mesh of `program`, and `point` is its index. `name` is
-    the name of the equation or variable.
-    """
+    """Return the `Place` of an equation or variable at a collocation point."""
     mesh = program.mesh
     if mesh is None:
         return Place(name=name)
@@ -79,8 +75,7 @@ def _at_point(program: Transcription, name: str, point: int) -> Place:
 def row_place(program: Transcription, row: int) -> Place:
     """Return name, time, element and collocation point of the constraint with the index `row`.
 
-    Time, element and point are None for all constraints but path equations, which are imposed at
-    each collocation point.
+    For constraints other than path equations, only the name is given.
     """
     compiled = program.compiled
     declared = compiled.declared
@@ -96,8 +91,8 @@ def row_place(program: Transcription, row: int) -> Place:
 def unknown_place(program: Transcription, column: int) -> Place:
     """Return name, time, element and collocation point of the unknown with the index `column`.
 
-    Element and point are None for a state at the start of the horizon. A variable without time has
-    only a name. An IndexError is raised if there is no unknown with this index.
+    A state at the start of the horizon has no element and point. A variable without time has only a
+    name. If there is no such unknown, an IndexError is raised.
     """
     layout, declared = program.layout, program.compiled.declared
     if column >= layout.unknowns - layout.n_statics:
@@ -236,19 +231,14 @@ class Transcription:
 
     @property
     def first_integral_row(self) -> int:
-        """Position of the first constraint that sets a static variable equal to an integral.
-
-        The position is among all constraints. The static variable (a variable that does not depend
-        on time) stands for the integral in conditions and objective.
-        """
+        """Position of the first constraint that sets a static variable equal to an integral."""
         return self.first_condition_row + len(self.compiled.declared.conditions)
 
     @property
     def horizon(self) -> tuple[float, float] | None:
-        """Start and end of the horizon as physical times, None if one of them is a variable.
+        """Start and end of the horizon as physical times.
 
-        The start or the end is a variable if a static variable (a variable without time) gives its
-        physical time. The result is also None for a model without time.
+        None for a model without time, and if a static variable gives the start or the end.
         """
         names = [p.name for p in self.compiled.declared.parameters]
         if not {"horizon.start", "horizon.end"} <= set(names):
@@ -259,9 +249,8 @@ class Transcription:
     def time_of(self, fraction: float) -> float:
         """Return the physical time at a fraction of the horizon, for messages.
 
-        The time is interpolated linearly between start and end of the horizon. With free interior
-        times, which the solve determines, the result thus differs from physical time. If `horizon`
-        is None, the result is `fraction` itself.
+        The time is interpolated linearly between start and end of the horizon, so free times inside
+        the horizon are ignored. If `horizon` is None, the result is `fraction` itself.
         """
         start, end = self.horizon or (0.0, 1.0)
         return start + (end - start) * fraction
@@ -269,8 +258,8 @@ class Transcription:
     def times(self, z: FloatArray) -> FloatArray:
         """Return the physical times that bound the phases of the horizon, at the unknowns `z`.
 
-        These are the start of the horizon, the free interior times (times that the solve
-        determines) and the end of the horizon, in this order.
+        These are the start of the horizon, the free times inside it (determined by the solve), and
+        its end.
         """
         statics = z[self.layout.static_columns]
         return np.array(self.compiled.times(statics, self.data.parameters)).ravel()
@@ -291,8 +280,7 @@ class Transcription:
     def rows_at_points(self, z: FloatArray) -> FloatArray:
         """Return path equations, then integrands, at the collocation points for the unknowns `z`.
 
-        The shape is (n_points, n_equations + n_integrals). The values at the most recent unknowns
-        are cached.
+        The shape is (n_points, n_equations + n_integrals).
         """
         if self._seen is None or not np.array_equal(self._seen, z):
             if self.layout.points:
@@ -303,19 +291,16 @@ class Transcription:
         return self._rows
 
     def integrals(self, z: FloatArray) -> FloatArray:
-        """Return the value of every integral, by Radau quadrature, shape (n_integrals,).
-
-        The integrals are those over the horizon in the Pyomo model. `z` are the unknowns.
-        """
+        """Return the value of every integral, by Radau quadrature, shape (n_integrals,)."""
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         return self._weights() @ densities
 
     def objective_density(self, z: FloatArray) -> FloatArray:
         """Return the running cost of the objective at the collocation points, shape (n_points,).
 
-        The running cost is a density over the fraction of the horizon: the sum of c times g over
-        the integrals in the objective itself. Here g is the integrand, and c is the derivative of
-        the objective to minimise with respect to the integral.
+        It is the sum of ``slope * integrand`` over the direct integrals, a density over the
+        fraction of the horizon. A direct integral appears in the objective itself. The slope is the
+        derivative of the objective to minimise with respect to the integral.
         """
         densities = self.rows_at_points(z)[:, self.compiled.n_equations :]
         direct = densities[:, list(self.compiled.row_integrals)]
@@ -324,8 +309,8 @@ class Transcription:
     def objective_size(self, z: FloatArray) -> float:
         """Return the magnitude of the objective, as a reference for its relative errors.
 
-        The magnitude is the larger of the objective's absolute value and the integral of the
-        absolute value of the running cost (see `objective_density`).
+        It is the larger of the objective's absolute value and the integral of
+        ``abs(objective_density)``.
         """
         # Positive and negative parts of the running cost do not cancel here.
         parts = float(self._weights() @ np.abs(self.objective_density(z)))
@@ -334,25 +319,20 @@ class Transcription:
     def _objective_slopes(self, z: FloatArray) -> FloatArray:
         """Return the derivatives of the objective with respect to its direct integrals.
 
-        A direct integral appears in the objective itself. The objective is that of the Pyomo model,
-        not negated if it is maximised.
+        The objective is not negated if the Pyomo model maximises it.
         """
         sources = self._point[1](self.point_variables(z), self._point_data)[0].ravel()
         return self._jacobian.objective_slopes(sources)
 
     def _weights(self) -> FloatArray:
-        """Return the quadrature weights of the collocation points, shape (n_points,).
-
-        The weights are for integrals over the fraction of the horizon. The result is empty for a
-        model without time.
-        """
+        """Return the quadrature weights over the fraction of the horizon, shape (n_points,)."""
         return self.mesh.quadrature_weights if self.mesh else np.zeros(0)
 
     def point_variables(self, z: FloatArray) -> FloatArray:
         """Return the variables of conditions and objective for the unknowns `z`, as one row.
 
-        They are values at declared times, static variables (without time), and those integrals that
-        no static variable represents.
+        They are values at declared times, static variables (without time), and the direct integrals
+        of the objective.
         """
         layout = self.layout
         direct = self.integrals(z)[list(self.compiled.row_integrals)]
@@ -385,11 +365,7 @@ class Transcription:
         return np.concatenate([self.rows_at_points(z)[:, :n].ravel(), conditions, definitions])
 
     def _derivative_sources(self, z: FloatArray) -> FloatArray:
-        """Return the derivatives from which gradient and Jacobian are assembled, cached for `z`.
-
-        `jacobian_scatter` gives their order, and the linear maps from this array to gradient and
-        Jacobian.
-        """
+        """Return the derivatives in the order of `jacobian_scatter`, cached for `z`."""
         if self._differentiated is None or not np.array_equal(self._differentiated, z):
             path = np.zeros(0)
             if self.layout.points:
@@ -412,14 +388,14 @@ class Transcription:
     def jacobian(self, z: FloatArray) -> FloatArray:
         """Return the nonzeros of the constraints' Jacobian at the unknowns `z`.
 
-        The nonzeros are in the order of the indices that the method `jacobianstructure` returns.
+        Their order is that of `jacobianstructure`.
         """
         return self._jacobian.rows.values(self._derivative_sources(z))
 
     def hessianstructure(self) -> tuple[Any, Any]:
-        """Return row and column indices of nonzeros in the lower triangle of the Hessian.
+        """Return row and column indices of the nonzeros of the Lagrangian's Hessian.
 
-        The Hessian is that of the Lagrangian with respect to the unknowns of the program.
+        Only the lower triangle is given.
         """
         return self._hessian.rows, self._hessian.columns
 
@@ -444,8 +420,8 @@ class Transcription:
     ) -> FloatArray:
         """Return the weights of path equations and integrands in the Lagrangian, at each point.
 
-        The weight of a path equation is its multiplier. The weight of an integrand is the weight of
-        its integral, from the method `integral_weights`, times the quadrature weight of the point.
+        The weight of a path equation is its multiplier. The weight of an integrand is the
+        quadrature weight times the weight of its integral, from `integral_weights`.
 
         Parameters
         ----------
@@ -454,14 +430,13 @@ class Transcription:
         multipliers : ndarray, shape (n_constraints,)
             Multipliers of all constraints of the program.
         factor : float, optional
-            Factor of the Pyomo model's objective in the Lagrangian. By default 1, or -1 if the
-            objective is maximised.
+            Factor of the Pyomo model's objective in the Lagrangian. The default is 1 for a
+            minimised and -1 for a maximised objective.
 
         Returns
         -------
         ndarray, shape (n_points, n_equations + n_integrals)
-            One row per collocation point: the weights of the path equations, then of the
-            integrands.
+            Weights of the path equations, then of the integrands.
         """
         n, points = self.compiled.n_equations, self.layout.points
         on_integral = self.integral_weights(z, multipliers, factor)
@@ -474,10 +449,10 @@ class Transcription:
     ) -> FloatArray:
         """Return the weight of each integral in the Lagrangian, shape (n_integrals,).
 
-        - For an integral that enters the objective directly: `factor` times the derivative of the
-          Pyomo model's objective with respect to the integral.
-        - For any other integral: minus the multiplier of the constraint ``variable - integral =
-          0``, which defines its static variable (a variable without time).
+        - For an integral in the objective itself: `factor` times the derivative of the Pyomo
+          model's objective with respect to the integral.
+        - For any other integral: minus the multiplier of the constraint
+          ``variable - integral = 0``.
 
         Parameters
         ----------
@@ -486,8 +461,8 @@ class Transcription:
         multipliers : ndarray, shape (n_constraints,)
             Multipliers of all constraints of the program.
         factor : float, optional
-            Factor of the Pyomo model's objective in the Lagrangian. By default 1, or -1 if the
-            objective is maximised.
+            Factor of the Pyomo model's objective in the Lagrangian. The default is 1 for a
+            minimised and -1 for a maximised objective.
         """
         factor = self._sign if factor is None else factor
         weights = np.zeros(len(self.compiled.declared.integrals))
@@ -512,8 +487,8 @@ class Transcription:
     def path_hessians(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the Hessians of the Lagrangian with respect to the variables of each point.
 
-        Each Hessian contains the terms from the path equations and integrands at its collocation
-        point, and is divided by the quadrature weight of the point.
+        Each Hessian contains the path equations and integrands at its collocation point. It is
+        divided by the quadrature weight of the point.
 
         Parameters
         ----------
@@ -525,9 +500,8 @@ class Transcription:
         Returns
         -------
         ndarray, shape (n_points, n_variables, n_variables)
-            Hessians. The variables of a point are rates, states, algebraic variables and static
-            variables, in this order. Rates are the derivatives of the states with respect to the
-            fraction of the horizon.
+            Hessians. The variables are rates (per fraction of the horizon), states, algebraic and
+            static variables, in this order.
         """
         path = self.compiled.path
         held, n = self._path_hessian(z, multipliers), path.values.size1_in(0)
@@ -539,7 +513,7 @@ class Transcription:
     def _path_hessian(self, z: FloatArray, multipliers: FloatArray) -> FloatArray:
         """Return the nonzeros of the Hessians from `path_hessians`, shape (n_points, n_nonzeros).
 
-        They are those of the lower triangle.
+        The nonzeros are those of the lower triangle.
         """
         weights = self.path_weights(z, multipliers)
         held = self._path[2](self.path_variables(z), self._path_data, weights)[0]
@@ -652,14 +626,13 @@ def rate_corrections(
     Returns
     -------
     ndarray, shape (n_points, n_states)
-        Newton steps for the rates. They are exact if the equations are linear in the rates. If the
-        numbers of equations and rates differ, the steps are the least-squares solutions of least
-        norm.
+        Newton steps for the rates, exact if the equations are linear in the rates. If there are not
+        as many equations as rates, the least-squares steps of least norm.
 
     Raises
     ------
     numpy.linalg.LinAlgError
-        If the numbers are equal, but the equations do not determine the rates at a point.
+        If there are as many equations as rates, but they do not determine the rates at a point.
     """
     equations = linearised(program, variables, data)
     matrices, residuals = equations.by_rate, rows[:, equations.rows]

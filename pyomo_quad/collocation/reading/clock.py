@@ -1,12 +1,11 @@
 """Declared times of a horizon, the free times among them, and the phases between free times.
 
-A declared time is a member of the model's continuous set, at which the model can state conditions.
-Usually, its value is the physical time. A declared time is free if the solve determines its
-physical time, as the value of a static variable (a variable without time). The free times inside
-the horizon divide it into phases.
+A declared time is a member of the model's continuous set. By default, its value is the physical
+time. For a free time, a static variable (without time), which the solve determines, is the physical
+time. Free times inside the horizon divide it into phases.
 
 The fraction of the horizon is 0 at the first and 1 at the last declared time. Within a phase,
-physical time is a linear function of this fraction.
+physical time is linear in it.
 """
 
 from __future__ import annotations
@@ -52,14 +51,12 @@ class PhaseTimes:
     name : str
         Name of the continuous set.
     declared : tuple of float
-        Declared times that bound the phases, start and end of the horizon included. Within a phase,
-        physical time is linear in the fraction of the horizon.
+        Declared times that bound the phases, start and end of the horizon included.
     times : tuple
         Physical times of the bounds in `declared`, as CasADi expressions of static variables and
         parameters.
     fraction : SX
-        Symbol of the fraction of the declared horizon, which extends from the first to the last
-        declared time.
+        Symbol of the fraction of the horizon: 0 at the first and 1 at the last declared time.
     phases : tuple of SX
         One symbol per phase, 1 at times of the phase and 0 elsewhere. Empty if there is only one
         phase.
@@ -76,23 +73,18 @@ class PhaseTimes:
 
     @property
     def fractions(self) -> tuple[float, ...]:
-        """Declared times that bound the phases, as fractions of the declared horizon."""
+        """Declared times that bound the phases, as fractions of the horizon."""
         return tuple(self.fraction_of(time) for time in self.declared)
 
     def fraction_of(self, time: float) -> float:
-        """Return a declared time as a fraction of the declared horizon.
-
-        A declared time is a member of the continuous set. The declared horizon extends from the
-        first to the last member.
-        """
+        """Return a declared time as a fraction of the horizon."""
         return (time - self.declared[0]) / (self.declared[-1] - self.declared[0])
 
     @cached_property
     def _spans(self) -> list[Any]:
         """CasADi expressions for d (physical time) / d (fraction of the horizon), one per phase.
 
-        The free times (times that the solve determines) divide the horizon into phases. Within a
-        phase, the derivative does not depend on the fraction of the horizon.
+        The derivative is constant within a phase.
         """
         ends = zip(pairwise(self.times), pairwise(self.fractions), strict=True)
         return [(after - before) / (last - first) for (before, after), (first, last) in ends]
@@ -109,17 +101,14 @@ class PhaseTimes:
     def span(self) -> Any:
         """Derivative of physical time with respect to the fraction of the horizon.
 
-        The result is a single CasADi expression for all phases. It contains the free times, and the
-        symbols that tell which phase a time belongs to.
+        The result is a single CasADi expression for all phases, which contains the symbols
+        `phases`.
         """
         return sum(p * span for p, span in zip(self._phase_factors, self._spans, strict=True))
 
     @cached_property
     def time(self) -> Any:
-        """Physical time as a CasADi expression of the fraction of the horizon and free times.
-
-        A free time is a variable: a physical time that the solve determines.
-        """
+        """Physical time as a CasADi expression of the fraction of the horizon and free times."""
         return sum(
             holds * (start + span * (self.fraction - first))
             for holds, start, span, first in zip(
@@ -130,16 +119,13 @@ class PhaseTimes:
     def span_at(self, time: float) -> Any:
         """Return d (physical time) / d (fraction of the horizon) just before a declared time.
 
-        At the first declared time, it is the derivative just after it. The derivative may jump at a
-        free time. The result is a CasADi expression of the free times and of parameters.
+        At the first declared time, the derivative just after it is returned. The result is a CasADi
+        expression of free times and parameters.
         """
         return self._spans[self.phase_of(time)]
 
     def time_at(self, time: float) -> Any:
-        """Return the physical time that corresponds to a declared time, as a CasADi expression.
-
-        The expression contains parameters, and the static variables that give free times.
-        """
+        """Return the physical time that corresponds to a declared time, as a CasADi expression."""
         k = self.phase_of(time)
         return self.times[k] + self._spans[k] * (self.fraction_of(time) - self.fractions[k])
 
@@ -162,8 +148,7 @@ class PhaseTimes:
         """Return constraints that give every phase of the horizon a positive duration.
 
         Each item is a name and a CasADi expression that must not be negative: the physical duration
-        of the phase minus 1e-6 times that of the horizon. The list is empty if there is only one
-        phase.
+        of the phase minus 1e-6 times that of the horizon. A single phase has no such constraint.
         """
         whole = LEAST_PHASE * (self.times[-1] - self.times[0])
         if not self.phases:
@@ -193,9 +178,8 @@ def free_times(
     final_time : Var, optional
         Static variable for the physical end of the horizon, in a model with a single horizon.
     times : mapping, optional
-        In a model with a single horizon: declared time -> static variable for its physical time. In
-        a model with several horizons: name of a continuous set -> mapping from declared times of
-        this set to static variables.
+        Declared time -> static variable for its physical time. For several horizons: name of a
+        continuous set -> mapping of this kind.
 
     Returns
     -------
@@ -226,8 +210,7 @@ def free_times(
 def _only(sets: tuple[Any, ...], argument: str) -> Any:
     """Return the only continuous set; raise an error if there are none or several.
 
-    `sets` are the continuous sets of the model. `argument` is the name of the user's argument that
-    requires a single continuous set, ``final_time`` or ``times``. The error message starts with it.
+    The user's argument named `argument` requires a single continuous set.
     """
     if not sets:
         raise TranscriptionError(
@@ -243,10 +226,7 @@ def _only(sets: tuple[Any, ...], argument: str) -> Any:
 
 
 def _set_named(sets: tuple[Any, ...], name: str) -> Any:
-    """Return the continuous set of the given name; raise an error if the model has none.
-
-    `sets` are the continuous sets of the model, and `name` is the full name that a user gave.
-    """
+    """Return the continuous set of the given name; raise an error if the model has none."""
     for time in sets:
         if time.name == name:
             return time
@@ -258,15 +238,7 @@ def _set_named(sets: tuple[Any, ...], name: str) -> Any:
 
 
 def _declared(time: Any, at: Any) -> float:
-    """Return the member of the continuous set `time` that equals the number `at`.
-
-    `at` is a time that a user gave.
-
-    Raises
-    ------
-    TranscriptionError
-        If no member equals the number.
-    """
+    """Return the member of the set `time` that equals `at`; raise an error if none does."""
     found = [float(t) for t in time if t == at]
     if not found:
         known = ", ".join(f"{t:g}" for t in sorted(time))
@@ -278,19 +250,9 @@ def _declared(time: Any, at: Any) -> float:
 
 
 def _refuse_unusable(time: Any, sets: tuple[Any, ...], given: dict[float, Any]) -> None:
-    """Raise an error if one of the variables cannot serve as the physical time of a declared time.
+    """Raise an error if a variable cannot serve as the physical time of a declared time.
 
-    A declared time is a member of a continuous set. The variable must have no time as index, and
-    may serve for one declared time only.
-
-    Parameters
-    ----------
-    time : ContinuousSet
-        The set of the declared times.
-    sets : tuple of ContinuousSet
-        All continuous sets of the model. None of them may index the variable.
-    given : dict
-        Declared time -> variable that gives its physical time. All these variables are checked.
+    None of the `sets` may index it, and it may serve for one declared time only.
     """
     taken: dict[str, float] = {}
     for at, variable in given.items():

@@ -1,4 +1,4 @@
-"""Clone of a user's model with one more time in each continuous set, to read the equations there.
+"""Clone of a user's model with an additional time, the template time, in each continuous set.
 
 The members of variables and constraints at this time serve as templates for all times.
 """
@@ -46,25 +46,21 @@ _TEMPLATE_FRACTION = 0.3819660112501051
 class WorkingCopy:
     """Clone of the user's model with the template time added to each continuous set.
 
-    The template time is an additional interior time. The members of variables and constraints at
-    this time serve as templates for all times.
+    A model with several horizons has one working copy per horizon, and one for their coupling. The
+    coupling consists of the constraints and the objective that do not belong to a single horizon.
 
     Attributes
     ----------
     model : ConcreteModel
         The clone.
     time : ContinuousSet or None
-        Continuous set of the horizon that this working copy represents; None for a model without
-        time. A model with several horizons has one more working copy, for their coupling: the
-        constraints and the objective that do not belong to a single horizon. Its attribute `time`
-        is None, too.
+        Continuous set of the horizon; None for a model without time and for the coupling.
     template_time : float
         The added time.
     declared_times : tuple of float
         The times that the user declared, in rising order.
     others : tuple of ContinuousSet
-        Continuous sets of the other horizons of the model. The declarations of these horizons are
-        read from their own working copies.
+        Continuous sets of the other horizons, which have their own working copies.
     """
 
     model: Any
@@ -74,18 +70,15 @@ class WorkingCopy:
     others: tuple[Any, ...] = ()
 
     def other_of(self, component: Any) -> Any:
-        """Return the continuous set of another horizon that indexes a component.
-
-        The result is None if no other horizon's set indexes the component.
-        """
+        """Return another horizon's continuous set that indexes a component, None if none does."""
         return next((time for time in self.others if is_over(component, time)), None)
 
     def takes(self, component: Any, data: Any) -> bool:
         """Return whether a constraint belongs to this working copy (a horizon, or the coupling).
 
         A constraint over time belongs to the horizon of its continuous set. A constraint without
-        time belongs to a horizon if all its time-dependent variables and parameters do. If they
-        belong to several horizons, or if it has none, it belongs to the coupling.
+        time belongs to a horizon if all time-dependent variables and parameters in it do. All other
+        constraints belong to the coupling.
 
         Parameters
         ----------
@@ -126,11 +119,11 @@ def _refuse_other_than_models(model: Any) -> None:
 def continuous_sets(model: Any) -> tuple[Any, ...]:
     """Return the model's continuous sets that are not discretised: its horizons.
 
-    If there are several, unused sets are left out:
+    If the model has several, these sets are left out:
 
     - a set that indexes no variable;
-    - a set in a deactivated block, if no active constraint or objective contains a variable that
-      the set indexes.
+    - a set in a deactivated block, unless an active constraint or objective contains a variable
+      over this set.
 
     Raises
     ------
@@ -162,10 +155,7 @@ def continuous_sets(model: Any) -> tuple[Any, ...]:
 
 
 def _is_used(model: Any, time: Any) -> bool:
-    """Return whether an active constraint or objective contains a variable indexed by `time`.
-
-    `model` is the user's model, and `time` is one of its continuous sets.
-    """
+    """Return whether an active constraint or objective contains a variable indexed by `time`."""
     return any(
         is_over(variable.parent_component(), time)
         for data in model.component_data_objects((Constraint, Objective), active=True)
@@ -189,10 +179,7 @@ _INSTEAD_OVER_TIME = {
 
 
 def _refuse_unknown(model: Any) -> None:
-    """Raise an error for active components of types that the transcription cannot handle.
-
-    `model` is the user's model.
-    """
+    """Raise an error for active components of types that the transcription cannot handle."""
     for block in model.block_data_objects(active=True, descend_into=True):
         for component in block.component_objects(active=True, descend_into=False):
             if isinstance(component, ActiveComponent) and component.ctype not in _UNDERSTOOD:
@@ -208,11 +195,8 @@ _EXPANDED = (Var, DerivativeVar, Param, Constraint, Expression, Integral, Suffix
 
 
 def _drop_unexpanded(copy: Any, time: Any) -> None:
-    """Delete components over the set `time` that have no member at the template time.
-
-    `copy` is the clone of the user's model. For some types of components, such as blocks, Pyomo
-    cannot make a member at an added time.
-    """
+    """Delete components over the set `time` that have no member at the template time."""
+    # Pyomo cannot make members at an added time for some types of components, such as blocks.
     # The nonlinear program does not change: active blocks and objectives over time have been
     # refused before, and the other components contribute nothing.
     for component in list(copy.component_objects(descend_into=True)):
@@ -222,10 +206,7 @@ def _drop_unexpanded(copy: Any, time: Any) -> None:
 
 
 def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
-    """Raise an error for piecewise functions that use integer variables or are indexed by time.
-
-    `times` are the continuous sets of the model. Other piecewise functions are accepted.
-    """
+    """Raise an error for piecewise functions that use integer variables or are indexed by time."""
     # All other piecewise functions consist of linear constraints.
     for block in model.component_objects(Block, active=True, descend_into=True):
         if isinstance(block, Piecewise) and (
@@ -242,13 +223,7 @@ def _refuse_piecewise(model: Any, times: tuple[Any, ...]) -> None:
 def _refuse_unsupported(model: Any, times: tuple[Any, ...]) -> None:
     """Raise an error for declarations that cannot be transcribed to a nonlinear program.
 
-    They are:
-
-    - components of unknown types;
-    - the piecewise functions that `_refuse_piecewise` refuses;
-    - integer variables that are not fixed;
-    - active blocks and objectives indexed by one of the continuous sets `times`;
-    - derivatives of higher order.
+    `times` are the continuous sets, which may not index active blocks or objectives.
     """
     _refuse_piecewise(model, times)
     _refuse_unknown(model)
@@ -292,8 +267,8 @@ def _keep_parameters(copy: Any, time: Any) -> None:
 def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     """Clone a model and add one interior time, the template time, to each of its continuous sets.
 
-    The members of constraints at the template time serve as templates for all times. The given
-    model is not changed.
+    Members of constraints at the template time serve as templates for all times. The given model is
+    not changed.
 
     Returns
     -------
@@ -304,8 +279,8 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
     Raises
     ------
     TranscriptionError
-        If the model declares something that cannot be transcribed to a nonlinear program. Also if a
-        rule fails at the template time, or a member was changed after its rule made it.
+        If a declaration cannot be transcribed, a rule fails at the template time, or a member was
+        changed after its rule made it.
     """
     copy = model.clone()
     transfer_rules(model, copy)
@@ -336,10 +311,9 @@ def copies_with_template_times(model: Any) -> tuple[WorkingCopy, ...]:
 
 
 def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
-    """Return the name of the component whose rule raised an error, for the error message.
+    """Return the name of the component whose rule raised an error, from the traceback.
 
-    The traceback of `error` shows the component. If it does not, the result has the names of the
-    continuous sets of `copies`, which are the working copies of the horizons.
+    If the traceback shows none, the result has the names of the continuous sets.
     """
     frames = [frame for frame, _ in walk_tb(error.__traceback__)]
     made = [frame.f_locals.get("self") for frame in frames]
@@ -350,12 +324,7 @@ def _culprit(error: Exception, copies: list[WorkingCopy]) -> str:
 def _expand(copy: Any, copies: list[WorkingCopy]) -> None:
     """Make the members of all components at the template times, by calling their rules.
 
-    `copy` is the clone of the user's model, and `copies` has its working copies, one per horizon.
-
-    Raises
-    ------
-    TranscriptionError
-        If a rule fails at one of the template times.
+    A `TranscriptionError` is raised if a rule fails at a template time.
     """
     try:
         expand_components(copy)

@@ -4,11 +4,11 @@ In each cell of its grid, a spline of x, y, ... is the sum of the terms
 
     c[i, j, ...] * f_i(x) * g_j(y) * ... ,
 
-where each index runs from 0 to the degree. The factors along an axis are powers of the local
-coordinate, or B-spline basis functions. One call of a CasADi function looks up the coefficients c
-of a cell, and returns value, gradient and Hessian at a rounded point near the arguments. The
-expression of the spline is the Taylor polynomial of degree two about this point: see
-docs/theory/transcription.md, "Interpolation tables".
+where each index runs from 0 to the degree. The factors are powers of the local coordinate, or
+B-spline basis functions. A CasADi function looks up the coefficients c of a cell. It returns value,
+gradient and Hessian at the rounded arguments, a point near the arguments. The spline's expression
+is the Taylor polynomial of degree two about this point: see docs/theory/transcription.md,
+"Interpolation tables".
 """
 
 from __future__ import annotations
@@ -45,22 +45,18 @@ CALLED = "local"
 class LocalSpline:
     """Tensor-product B-spline in a form whose evaluation cost does not depend on the grid's size.
 
-    The spline is linear in the first and last interval of each axis. The module's docstring
-    describes the evaluation.
+    The spline is linear in the first and last interval of each axis.
 
     Attributes
     ----------
     roundings : tuple of float
         Step of the rounding of each argument.
     ends : tuple of (float, float)
-        Interval to which each rounded argument is limited. An argument outside the interval is
-        rounded to the nearer end of the interval.
+        Interval to which each rounded argument is clipped.
     function : casadi.Function
         Rounded arguments -> value, gradient and upper triangle of the Hessian of the spline.
     kept : tuple of casadi.Function
-        CasADi functions for the derivatives of `function`. They return zero, because the rounded
-        arguments count as constants. (The derivatives of the spline come from the Taylor
-        polynomial.) The attribute keeps these functions, so that CasADi does not construct them
+        Derivatives of `function` for CasADi, which are zero. Stored here, they are not constructed
         anew for each expression.
     """
 
@@ -74,7 +70,8 @@ class LocalSpline:
         """Return a B-spline in the form of a `LocalSpline`.
 
         The B-spline must be linear in the first and last interval of each axis, as is that of
-        `Spline.through`. Otherwise, the tangent from the neighbouring interval replaces it there.
+        `Spline.through`. In these intervals, the result is the tangent from the neighbouring
+        interval.
 
         Parameters
         ----------
@@ -87,6 +84,8 @@ class LocalSpline:
         """
         place: Any = casadi.MX.sym("place", len(knots))
         found = _jet(place, knots, coefficients, degree)
+        # The derivatives of the call are zero: the rounded arguments count as constants, and the
+        # derivatives of the spline come from the Taylor polynomial.
         # CasADi would otherwise differentiate the call itself.
         told, seed = casadi.MX.sym("told", found.numel()), casadi.MX.sym("seed", found.numel())
         moved = casadi.MX.sym("moved", len(knots))
@@ -110,10 +109,7 @@ class LocalSpline:
         )
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value of the spline as a CasADi expression of its arguments.
-
-        `arguments` are CasADi expressions, one for each axis of the spline.
-        """
+        """Return the value of the spline as a CasADi expression of its arguments, one per axis."""
         # CasADi's look-up fails at NaN, so fmax replaces NaN; `away` makes the result NaN again.
         rounded = [
             casadi.fmin(casadi.fmax(step * (casadi.floor(argument / step) + _ASIDE), low), high)
@@ -132,10 +128,7 @@ class LocalSpline:
 
 
 def _pairs(count: int) -> list[tuple[int, int]]:
-    """Return the index pairs (i, j), i <= j < count, of the upper triangle of a Hessian.
-
-    The pairs are in the order of the rows. `count` is the number of rows of the Hessian.
-    """
+    """Return the index pairs (i, j), i <= j < count, of a Hessian's upper triangle, row by row."""
     return list(combinations_with_replacement(range(count), 2))
 
 
@@ -147,20 +140,7 @@ def _jet(
 ) -> Any:
     """Return value, gradient and upper triangle of the Hessian of a spline at a symbolic point.
 
-    Parameters
-    ----------
-    place : casadi.MX
-        Symbols of the point's coordinates, one per axis of the spline.
-    knots : sequence of ndarray
-        Knots along each axis.
-    coefficients : ndarray
-        B-spline coefficients, with one array axis per axis of the spline.
-    degree : int
-
-    Returns
-    -------
-    casadi.MX
-        Column of the value, then the gradient, then the upper triangle of the Hessian.
+    `place` has the symbols of the coordinates. The result is one column.
     """
     table, order, cells = coefficients, degree + 1, 0
     axes, index, along = [], [], []
@@ -204,35 +184,14 @@ _Parts = dict[tuple[int, ...], Any]
 def _weights(count: int, cells: int, degree: int) -> Any:
     """Return a CasADi function for the factors of a spline in a grid cell, with their derivatives.
 
-    The module's docstring defines the factors.
-
-    Parameters
-    ----------
-    count : int
-        Number of axes of the spline.
-    cells : int
-        Number of axes, counted from the first, whose factors are powers. The factors of the other
-        axes are B-spline basis functions.
-    degree : int
-        Degree of the spline along every axis.
-
-    Returns
-    -------
-    casadi.Function
-        (point, a column for each axis) -> a matrix for each axis. The matrix has the shape (degree
-        + 1, 3): one row per factor, with its value, first and second derivative.
-
-        The column of an axis describes the cell that contains the point. It has four parts:
-
-        - origin of the local coordinate;
-        - reciprocal of the cell's width;
-        - index of the first basis function that is not zero in the cell;
-        - coefficients of the basis functions, as polynomials of the local coordinate.
-
-        An axis with powers uses only the first two parts.
+    Its result has a matrix per axis: value, first and second derivative of each factor. The first
+    `cells` axes have powers.
     """
     order, weights = degree + 1, []
     place = casadi.SX.sym("place", count)
+    # Column of an axis: origin of the local coordinate, reciprocal of the cell's width, index of
+    # the first basis function that is not zero in the cell, and coefficients of the basis functions
+    # as polynomials of the local coordinate. Axes with powers use the first two only.
     along = [casadi.SX.sym(f"along_{axis}", 3 + order**2) for axis in range(count)]
     for axis, found in enumerate(along):
         powers = _powers(place[axis], found[0], found[1], degree)
@@ -242,35 +201,12 @@ def _weights(count: int, cells: int, degree: int) -> Any:
 
 
 def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _Parts:
-    """Sum the terms of a spline's value and derivatives along some axes.
+    """Sum the terms of a spline's value and derivatives along `axes`, the last axes not yet summed.
 
-    The module's docstring gives the terms of the value. For a derivative along an axis, the
-    derivative of the factor of this axis replaces the factor.
-
-    Parameters
-    ----------
-    parts : dict
-        Partial sums of the value and of each derivative of the spline. Earlier calls of this
-        function have summed over the last axes of the spline, or over none.
-
-        A key identifies a derivative: it is a tuple with the order of the derivative along each
-        axis that is already summed. If no axis is summed yet, the only key is (). The value of a
-        key is a CasADi column, with one partial sum for each combination of the indices of the
-        other axes.
-    weights : sequence of casadi.SX or casadi.MX
-        For each axis, the matrix of the factors, shape (degree + 1, 3): one row per factor, with
-        its value, first and second derivative.
-    axes : iterable of int
-        The axes to sum over, in rising order: the last of the axes not yet summed in `parts`.
-
-    Returns
-    -------
-    dict
-        The partial sums over `axes` and the axes summed earlier, in the form of `parts`. A key has
-        the orders of the derivative along `axes`, then the orders along the axes summed earlier.
-        The sum of the orders in a key is at most 2.
+    `weights` has a matrix per axis: value, first and second derivative of each factor.
     """
     # Multiply by the factors of an axis, and sum over its index.
+    # For a derivative along an axis, the derivative of the factor replaces the factor.
     for axis in reversed([*axes]):
         order = weights[axis].shape[0]
         parts = {
@@ -279,6 +215,7 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
             for degree_along, column in enumerate(
                 casadi.horzsplit(
                     casadi.reshape(part, -1, order)
+                    # The orders in a key sum to 2 at most.
                     @ weights[axis][:, : _VALUE_SLOPE_BEND - sum(orders)]
                 )
             )
@@ -287,29 +224,10 @@ def _contracted(parts: _Parts, weights: Sequence[Any], axes: Iterable[int]) -> _
 
 
 def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> Any:
-    """Return a CasADi function that completes the sums for value, gradient and Hessian.
+    """Return a CasADi function that sums over the first two axes (or the only axis) of a spline.
 
-    The function `_contracted` first sums over all axes except the first two. The returned function
-    sums over the first two axes (or over the only axis).
-
-    Parameters
-    ----------
-    given : sequence of tuple of int
-        Keys of the dictionary that the first step returns. A key identifies a derivative: it is a
-        tuple with the order of the derivative along each axis of the first step. For a spline with
-        one or two axes, the first step has no axis, and the only key is ().
-    count : int
-        Number of axes of the spline.
-    degree : int
-        Degree of the spline along every axis.
-
-    Returns
-    -------
-    casadi.Function
-        (sums of the first step, matrices of factors) -> column of value, gradient and upper
-        triangle of the Hessian. The sums of the first step are one column, in the order of `given`.
-        There is one matrix for each of the first two axes, of shape (degree + 1, 3): one row per
-        factor, with its value, first and second derivative.
+    The result is a column of value, gradient and upper triangle of the Hessian. `given` are keys of
+    `_Parts`.
     """
     left, order = min(count, _AS_NUMBERS), degree + 1
     size = order**left
@@ -326,8 +244,7 @@ def _contraction(given: Sequence[tuple[int, ...]], count: int, degree: int) -> A
 def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
     """Return the powers of ``(at - anchor) * per_width``, with two derivatives by `at`.
 
-    `anchor` is the origin of the cell, and `per_width` the reciprocal of its width. The CasADi
-    matrix has one row per power from 0 to `degree`.
+    The matrix has one row per power from 0 to `degree`.
     """
     share = (at - anchor) * per_width
     powers = [casadi.SX(1), *(share**k for k in range(1, degree + 1))]
@@ -340,22 +257,10 @@ def _powers(at: Any, anchor: Any, per_width: Any, degree: int) -> Any:
 def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> Any:
     """Return the numbers that a table stores for the grid cell that contains a point.
 
-    Parameters
-    ----------
-    place : casadi.MX
-        Coordinates of the point, one per axis of the grid.
-    breaks : sequence of ndarray
-        Ends of the cells along each axis.
-    table : ndarray
-        One array of numbers for each cell. The leading axes of the table are those of the grid, and
-        count the cells. The other axes are those of the array of a single cell.
-
-    Returns
-    -------
-    casadi.MX
-        Column of the numbers of the cell. The first axis of the cell's array varies fastest.
+    `breaks` has the ends of the cells along each axis. The leading axes of `table` count the cells.
     """
     count = len(breaks)
+    # In the result, the first axis of the cell's array varies fastest.
     values = np.moveaxis(table, range(count, table.ndim), range(table.ndim - count))
     flat = casadi.DM(values.ravel(order="F").tolist())
     size = flat.numel() // int(np.prod(table.shape[:count]))
@@ -366,32 +271,25 @@ def _looked_up(place: Any, breaks: Sequence[FloatArray], table: FloatArray) -> A
 class _Pieces:
     """Polynomial pieces of the B-spline basis functions of one axis, in each of n grid cells.
 
-    Attributes
-    ----------
-    breaks : ndarray, shape (n + 1,)
-        Ends of the cells.
-    columns : ndarray of int, shape (n, degree + 1)
-        For each cell, the indices of the basis functions that are not zero in the cell.
-    ends : ndarray, shape (n, 2)
-        Origin and scale of the local coordinate for each cell: the local coordinate is scale *
-        (coordinate - origin). The scale is 1 / (width of the cell). The first and the last cell
-        have the scale of the neighbouring cell.
-    matrices : ndarray, shape (n, degree + 1, degree + 1)
-        For each cell, the polynomial coefficients of the basis functions in `columns`: one row per
-        power of the local coordinate, one column per basis function.
+    The local coordinate is scale * (coordinate - origin). The scale is 1 / (width of the cell).
     """
 
+    # Ends of the cells, shape (n + 1,).
     breaks: FloatArray
+    # Indices of the basis functions that are not zero in each cell, shape (n, degree + 1).
     columns: Any
+    # Origin and scale of the local coordinate of each cell, shape (n, 2). The first and the last
+    # cell have the scale of the neighbouring cell.
     ends: FloatArray
+    # Polynomial coefficients of the basis functions in `columns`, shape (n, degree + 1, degree +
+    # 1): one row per power of the local coordinate, one column per basis function.
     matrices: FloatArray
 
     @classmethod
     def of(cls, knots: FloatArray, degree: int) -> Self:
         """Return the polynomial pieces of the B-spline basis with given knots, in each cell.
 
-        The first and the last cell serve for linear extrapolation. There, each basis function is
-        its tangent at the boundary to the neighbouring cell.
+        In the first and the last cell, they are the tangents at the neighbouring cell.
         """
         from scipy.interpolate import BSpline  # noqa: PLC0415  few models have tables
 

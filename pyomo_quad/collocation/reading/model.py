@@ -63,8 +63,8 @@ class RelationReader:
     def constraints(self) -> tuple[list[PathEquation], list[PointCondition]]:
         """Return the equations over time, and the conditions (constraints not imposed over time).
 
-        The equations are equalities and inequalities at all times, with the bounds of time
-        derivatives at the end. Constraints of other horizons are left out.
+        The equations are equalities and inequalities at all times; bounds of time derivatives come
+        last. Constraints of other horizons are left out.
 
         Raises
         ------
@@ -107,21 +107,9 @@ class RelationReader:
         equations: list[PathEquation],
         conditions: list[PointCondition],
     ) -> None:
-        """Read the members of a constraint that differ in time only.
+        """Read the members of a constraint that differ in time only, and append them to the lists.
 
-        They become one equation over time if the constraint holds between the declared times.
-        Members that no equation covers become conditions, constraints at a declared time.
-
-        Parameters
-        ----------
-        component : Constraint
-        index : tuple
-            Index without the time (i for ``x[i, t]``), which the members share.
-        instances : dict
-            Active members by time, including the member at the template time (the added interior
-            time at which equations are read). That member is removed from the dictionary.
-        equations, conditions : list
-            Lists to which the result is added.
+        Members that an equation over time does not cover become conditions.
         """
         template = instances.pop(self.copy.template_time, None) if self.copy.time else None
         equation = None
@@ -139,8 +127,7 @@ class RelationReader:
     def _refuse_alike(self, component: Any, instances: list[Any]) -> None:
         """Raise an error for a constraint without a rule if its members differ in time only.
 
-        The constraint is probably meant for all times. `instances` are its members, one at each
-        declared time (member of the continuous set).
+        The constraint is probably meant for all times.
         """
         # Without a rule, the constraint can only be imposed at the declared times.
         if all(self._is_alike(instances[0], other) for other in instances[1:]):
@@ -150,10 +137,9 @@ class RelationReader:
             )
 
     def _refuse_listed(self, component: Any) -> None:
-        """Raise an error for a list of constraints that repeats one at all declared times.
+        """Raise an error for a ConstraintList that has the same constraint at each declared time.
 
-        `component` is a ConstraintList or other Constraint. It is checked only if it has one active
-        member per declared time, and contains only algebraic variables over time.
+        Only lists that contain nothing but algebraic variables over time are checked.
         """
         members = [data for data in component.values() if data.active]
         if self.copy.time is None or len(members) != len(self.copy.declared_times):
@@ -171,8 +157,7 @@ class RelationReader:
     def _relation(self, data: Any, name: str) -> tuple[Any, Any, Any]:
         """Return a constraint's member as CasADi expressions: body, lower and upper bound.
 
-        `data` is the member, a Pyomo data object; `name` is its name, for messages. For an
-        equality, the body is the difference of both sides, and the bounds are zero.
+        For an equality, the body is the difference of both sides, and the bounds are zero.
         """
         lower, body, upper = data.to_bounded_expression()
         expression = casadi.SX(self._writer.write(body, name))
@@ -185,24 +170,12 @@ class RelationReader:
         )
 
     def _condition(self, data: Any) -> PointCondition:
-        """Return a constraint's member at a single time as a `PointCondition`.
-
-        `data` is the member, a Pyomo data object. A `PointCondition` has the form lower <=
-        expression <= upper.
-        """
+        """Return a constraint's member at a single time as a `PointCondition`."""
         expression, lower, upper = self._relation(self._writer.at_instant(data), data.name)
         return PointCondition(name=data.name, expression=expression, lower=lower, upper=upper)
 
     def _imposed(self, condition: PointCondition) -> PointCondition:
-        """Check whether a condition is supported, and return it unchanged.
-
-        `condition` is a constraint at single times.
-
-        Raises
-        ------
-        TranscriptionError
-            If the condition contains a time-dependent parameter, which is not supported.
-        """
+        """Return a condition; raise an error if it contains a time-dependent parameter."""
         signals = {symbol.name() for symbol in self.symbols.signal_points.values()}
         read = signals & symbol_names(condition.expression)
         if read:
@@ -215,19 +188,12 @@ class RelationReader:
     def _start_and_end(
         self, equation: PathEquation, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return a constraint's members at start and end that its equation does not impose.
-
-        `equation` is the constraint as an equation over time. `instances` has its members at
-        declared times.
-
-        - The member at the start is returned if it contains states, but no rates or algebraic
-          variables. It is left out if all its variables are fixed and satisfy it.
-        - The member at the end is returned if it differs from the equation.
-        """
+        """Return a constraint's members at start and end that its equation does not impose."""
         added = []
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         # The collocation points include the end of the horizon but not its start. An equation with
         # rates or algebraic variables is not imposed at the start.
+        # If all variables of the member at the start are fixed and satisfy it, it is not imposed.
         is_met = first in instances and _is_met_as_fixed(instances[first])
         if first in instances and self._states_only(equation) and not is_met:
             added.append(self._imposed(self._condition(instances[first])))
@@ -240,20 +206,9 @@ class RelationReader:
     def _between(
         self, equation: PathEquation, template: Any, instances: dict[Any, Any]
     ) -> list[PointCondition]:
-        """Return the members of a constraint that its equation over time does not cover.
+        """Return a constraint's members at interior declared times that differ from its equation.
 
-        These are members at interior declared times (members of the continuous set) that differ
-        from the equation. Each of them becomes a condition, which is a constraint at a single time.
-
-        Parameters
-        ----------
-        equation : PathEquation
-            The constraint as an equation over time.
-        template : ConstraintData or None
-            Member of the constraint at the template time, the added interior time at which
-            equations are read.
-        instances : dict
-            Members of the constraint by declared time.
+        `template` is the constraint's member at the template time, None if it has no such member.
         """
         added = []
         for time in self.copy.declared_times[1:-1]:
@@ -266,10 +221,7 @@ class RelationReader:
         return added
 
     def _is_alike(self, first: Any, second: Any) -> bool:
-        """Return whether two members of a constraint are identical except for their times.
-
-        `first` and `second` are the members, Pyomo data objects.
-        """
+        """Return whether two members of a constraint are identical except for their times."""
         pairs = [(first.expr, second.expr)]
         while pairs:
             a, b = pairs.pop()
@@ -288,8 +240,7 @@ class RelationReader:
     def _is_member_alike(self, a: Any, b: Any) -> bool:
         """Return whether two variables or parameters are identical except for their times.
 
-        `a` and `b` are Pyomo data objects. The result is true if both are members of the same Pyomo
-        component and have equal indices without the time (i for ``x[i, t]``).
+        They must belong to the same Pyomo component, with equal indices without time.
         """
         if a is b:
             return True
@@ -299,10 +250,7 @@ class RelationReader:
         return self.addresses.of(a).index == self.addresses.of(b).index
 
     def _states_only(self, equation: PathEquation) -> bool:
-        """Return whether an equation over time has states, but no rates or algebraic variables.
-
-        Rates are the derivatives of the states with respect to time.
-        """
+        """Return whether an equation over time has states, but no rates or algebraic variables."""
         names = symbol_names(equation.expression)
         table = self.symbols
         rates = {s.rate.name() for s in table.states.values()}
@@ -313,18 +261,7 @@ class RelationReader:
     ) -> bool:
         """Return whether a condition equals an equation over time, evaluated at a declared time.
 
-        Both come from one constraint of the model. If its rule branches on time, they count as
-        equal if their expressions contain the same symbols, whatever their bounds.
-
-        Parameters
-        ----------
-        condition : PointCondition
-        equation : PathEquation
-        time : float
-            The declared time.
-        side : int
-            Side of the declared time on which rules that branch on time are evaluated: -1 just
-            before it, 1 just after it.
+        Rules that branch on time are evaluated just before (`side` = -1) or just after it (1).
         """
         # A condition that equals its equation need not be imposed separately.
         table = self.symbols
@@ -361,9 +298,9 @@ class RelationReader:
     def values_at_points(self, conditions: list[PointCondition]) -> list[tuple[str, float]]:
         """Return the states that are fixed at declared times, as (name, fraction of the horizon).
 
-        The method appends other fixed values at declared times, and bounds that were assigned at
-        single declared times, to `conditions`. A TranscriptionError is raised if a variable is
-        fixed without a value.
+        The method appends to `conditions` the other fixed values at declared times, and bounds
+        assigned at single declared times. If a variable is fixed without a value, a
+        TranscriptionError is raised.
         """
         fixed = []
         table = self.symbols
@@ -390,11 +327,7 @@ class RelationReader:
         return fixed
 
     def _rates(self) -> Iterator[Slot]:
-        """Yield the derivatives with respect to time, with their bounds, as `Slot` objects.
-
-        A `Slot` describes one scalar variable as a function of time, here the derivative of one
-        state. It has a name, an index without the time (i for ``x[i, t]``), and bounds.
-        """
+        """Yield the derivatives with respect to time, with their bounds, as `Slot` objects."""
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             for position, data in derivative.items():
                 address = self.addresses.split(derivative, position)
@@ -425,8 +358,7 @@ class RelationReader:
     def _fixing_condition(self, data: Any) -> PointCondition:
         """Return the constraint that a variable equals its fixed value at one time.
 
-        `data` is the member of the variable that the user fixed, a Pyomo data object. The fixed
-        value is a parameter in the constraint.
+        The fixed value is a parameter in the constraint.
         """
         number = self.symbols.fixed_value(data)
         expression = casadi.SX(self._writer.write(data, data.name)) - number
@@ -436,11 +368,7 @@ class RelationReader:
 
 
 def _is_met_as_fixed(data: Any) -> bool:
-    """Return whether all variables in a constraint are fixed and the constraint is satisfied.
-
-    `data` is one member of a Pyomo constraint. If the result is True, the member need not be
-    imposed.
-    """
+    """Return whether all variables in a constraint are fixed and the constraint is satisfied."""
     if not all(v.fixed and v.value is not None for v in identify_variables(data.body)):
         return False
     return bool(data.slack() >= -_MET * (1.0 + abs(value(data.body))))
@@ -458,15 +386,14 @@ def read_declarations(
     final_time : Var, optional
         Static variable of the model that becomes the end of the horizon.
     times : mapping, optional
-        Free times, which the solve determines: declared time (a member of the continuous set) ->
-        static variable (a variable without time) that gives the physical time.
+        Free times: member of the continuous set -> static variable (without time) for its physical
+        time, which the solve determines.
 
     Returns
     -------
     Declarations, ModelReader
-        The model in CasADi symbols (variables, parameters, constraints and objective), and the
-        reader that made it. The reader can write further expressions of the model in the same
-        symbols.
+        The model in CasADi symbols, and the reader that made it. The reader can write further
+        expressions in the same symbols.
 
     Raises
     ------
@@ -488,8 +415,8 @@ def read_declarations(
 class ModelReader:
     """Reader of a model's declarations in CasADi symbols.
 
-    The constructor reads the constraints. The method `declarations` then returns them together with
-    the variables and parameters that they contain.
+    The constructor reads the constraints. The method `declarations` returns them together with the
+    variables and parameters in them.
 
     Parameters
     ----------
@@ -515,8 +442,8 @@ class ModelReader:
     def require_all(self) -> None:
         """Raise an error for a model without a variable to solve for, or without complete dynamics.
 
-        Dynamics are complete if an equality over time contains the derivative of each state. The
-        method `_require_dynamics` describes an exception.
+        For complete dynamics, an equality over time must contain the derivative of each state. See
+        `_require_dynamics` for an exception.
         """
         self._require_dynamics(self.equations)
         self._require_variables()
@@ -524,8 +451,8 @@ class ModelReader:
     def declarations(self, cost: Any, objective: Any) -> Declarations:
         """Return the model in CasADi symbols: variables, parameters, constraints and objective.
 
-        Call this method only once, because it appends to the attribute `conditions`: fixed values,
-        bounds at single times, and inequalities that keep free times in their order.
+        Call this method only once, because it appends to the attribute `conditions`. It appends
+        fixed values, bounds at single times, and constraints that keep free times in order.
 
         Parameters
         ----------
@@ -571,11 +498,9 @@ class ModelReader:
         )
 
     def _read_expressions(self) -> None:
-        """Translate every named expression over time once, even if no equation contains it.
-
-        The parameters in these expressions thus become parameters of the compiled program. A
-        solution can then evaluate the expressions.
-        """
+        """Translate every named expression over time once, even if no equation contains it."""
+        # The parameters in these expressions thus become parameters of the compiled program, so
+        # that a solution can evaluate the expressions.
         for component in self.copy.model.component_objects(
             Expression, active=True, descend_into=True
         ):
@@ -586,11 +511,7 @@ class ModelReader:
                         self.writer.write_at_template(component, address.index)
 
     def _used_algebraics(self, points: tuple[PointSymbol, ...]) -> dict[str, Slot]:
-        """Return the algebraic variables that the model uses, by name.
-
-        They appear in an equation over time, in an integrand, or in `points`. These are the symbols
-        of the values at single times that conditions and objective contain.
-        """
+        """Return the algebraic variables in an equation over time, an integrand or `points`."""
         parts = [part for e in self.equations for part in (e.expression, e.lower, e.upper)]
         parts += [i.integrand for i in self.writer.integrals.values()]
         used = symbol_names(casadi.vertcat(*parts)) | {point.slot for point in points}
@@ -607,11 +528,7 @@ class ModelReader:
             )
 
     def _require_dynamics(self, equations: list[PathEquation]) -> None:
-        """Raise an error for a state whose time derivative appears in no equation over time.
-
-        One kind of state is accepted without its derivative: equations without time derivatives
-        determine it, and the derivative of another member of its Pyomo variable appears.
-        """
+        """Raise an error for a state whose time derivative appears in no equality over time."""
         read = [symbol_names(e.expression) for e in equations if e.is_equality]
         used = frozenset[str]().union(*read)
         states = self.symbols.states.values()
@@ -619,6 +536,8 @@ class ModelReader:
         moving = {s.component for s in states if s.rate.name() in used}
         said = self._determined_without_rates(still, read)
         for state in still:
+            # A state is accepted without its rate if two conditions hold: the equations without
+            # rates determine it, and the rate of another member of its Pyomo variable appears.
             # At the ends of a discretised space, an equation without a rate may determine the
             # variable.
             if state.component not in moving or state.name not in said:
@@ -630,10 +549,9 @@ class ModelReader:
     def _determined_without_rates(
         self, states: list[Slot], read: list[frozenset[str]]
     ) -> frozenset[str]:
-        """Return the names of the variables that equations without time derivatives determine.
+        """Return the names of variables that equations without time derivatives determine.
 
-        `states` are the states whose time derivatives appear in no equation. `read` has the names
-        of the symbols of each equality over time.
+        `read` has the names of the symbols of each equality over time.
         """
         rates = {s.rate.name() for s in self.symbols.states.values()}
         algebraic = [names for names in read if not names & rates]
@@ -655,21 +573,14 @@ class ModelReader:
         return frozenset(name for name, row in zip(wanted, found, strict=True) if row >= 0)
 
     def _derivative_name(self, state: Slot) -> str:
-        """Return the name of the time derivative of a state, for messages.
-
-        The name is that of the Pyomo DerivativeVar of the state, followed by the state's index
-        without the time. `state` is the state.
-        """
+        """Return the name of a state's Pyomo DerivativeVar, with the state's index without time."""
         for derivative in self.copy.model.component_objects(DerivativeVar, descend_into=True):
             if derivative.get_state_var().name == state.component:
                 return indexed_name(derivative.name, state.index)
         return f"derivative of {state.name}"
 
     def _bounds(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a variable without time as CasADi expressions.
-
-        `slot` is the variable.
-        """
+        """Return lower and upper bound of a variable without time as CasADi expressions."""
         return (
             self.writer.bound(slot.lower, -casadi.inf, slot.name),
             self.writer.bound(slot.upper, casadi.inf, slot.name),
@@ -681,19 +592,9 @@ class ModelReader:
         nominal: dict[str, float],
         bounds: Callable[[Slot], tuple[Any, Any]],
     ) -> tuple[Slot, ...]:
-        """Return variables with their bounds as CasADi expressions, and with their magnitudes.
+        """Return variables with CasADi expressions of their bounds, and magnitudes for scaling.
 
-        The user declares the magnitudes in the Pyomo suffix `scaling_factor`. They serve to scale
-        the nonlinear program.
-
-        Parameters
-        ----------
-        table : dict
-            The variables by name.
-        nominal : dict
-            Magnitudes by name of a variable or component.
-        bounds : callable
-            Variable -> lower and upper bound as CasADi expressions.
+        `nominal` has magnitudes by name of a variable or component.
         """
         finished = []
         for slot in table.values():

@@ -62,11 +62,9 @@ def family_name(name: str) -> str:
 
 
 def declared_unit(model: Any, name: str) -> str:
-    """Return the unit of a constraint's body or of a variable, by name; "" if it has none.
+    """Return the unit of a constraint's body or of a variable as a text, for example "m/s".
 
-    `model` is the Pyomo model, and `name` the name of the constraint or variable. The unit is a
-    text such as "m/s". The result is also "" for a dimensionless unit, inconsistent units or an
-    unknown name.
+    The result is "" for an unknown name, and for a missing, dimensionless or inconsistent unit.
     """
     component = model.find_component(family_name(name))
     data: Any = None if component is None else next(iter(component.values()), None)
@@ -78,10 +76,9 @@ def declared_unit(model: Any, name: str) -> str:
 
 
 def _spelled(unit: Any) -> str:
-    """Return a unit as an engineer writes it: Pyomo's N*rad**2 of a thrust becomes N.
+    """Return a Pyomo unit as an engineer writes it: N*rad**2 of a thrust becomes N.
 
     Angles count as dimensionless, and a compound unit that equals a named unit gets its name.
-    `unit` is a Pyomo unit; the result is a text.
     """
     text = str(unit)
     if "*" not in text and "/" not in text:
@@ -101,8 +98,7 @@ def _spelled(unit: Any) -> str:
 def declared_magnitudes(model: Any) -> dict[str, float]:
     """Return the magnitudes of variables according to the Suffix `scaling_factor`, by name.
 
-    The names are those of components or of their members. A magnitude is the inverse of a scaling
-    factor. The magnitudes serve to scale the nonlinear program.
+    A name is that of a component or of a member. A magnitude is the inverse of a scaling factor.
     """
     magnitudes: dict[str, float] = {}
     for suffix in model.component_objects(Suffix, descend_into=True):
@@ -116,8 +112,7 @@ def declared_magnitudes(model: Any) -> dict[str, float]:
 class LiveModel:
     """The user's Pyomo model as the source of the values of parameters and variables.
 
-    Each method reads the value that the model has when the method is called, or writes solved
-    values into the model.
+    Each method reads current values from the model, or writes solved values into it.
 
     Parameters
     ----------
@@ -125,11 +120,8 @@ class LiveModel:
     time : ContinuousSet or None
         The model's continuous set.
     schedules : tuple of Schedule or Phases
-        Objects that compute data over time for the compiled equations. A `Schedule` serves a rule
-        that branches on time. It gives the expression that the rule returns at a time, and the
-        numbers in the expression. A `Phases` object serves a horizon that free times (times that
-        the solve determines) divide into phases. It gives the phase that contains a time. The
-        CasADi symbols of these data are in `Declarations.scheduled`.
+        Objects that compute the data of `Declarations.scheduled`: a `Schedule` for each rule that
+        branches on time, and a `Phases` object for a horizon with several phases.
     """
 
     def __init__(self, model: Any, time: Any, schedules: tuple[Schedule | Phases, ...]) -> None:
@@ -140,11 +132,7 @@ class LiveModel:
         self._units: dict[str, str] = {}
 
     def of(self, model: Any) -> LiveModel:
-        """Return a `LiveModel` of another Pyomo model with the same declarations.
-
-        A `LiveModel` reads the values of parameters and variables from a Pyomo model. `model` is
-        the other model.
-        """
+        """Return a `LiveModel` of another Pyomo model with the same declarations."""
         time = None if self._time is None else model.find_component(self._time.name)
         return LiveModel(model, time, self.schedules)
 
@@ -175,8 +163,6 @@ class LiveModel:
     def parameter(self, slot: Slot) -> float | None:
         """Return the value of a parameter without time, or of a fixed variable; None if unset.
 
-        `slot` is the parameter or variable.
-
         Raises
         ------
         TranscriptionError
@@ -190,11 +176,7 @@ class LiveModel:
         return None if found is None else float(found)
 
     def _refuse_other_values(self, variable: Any, index: tuple[Any, ...]) -> None:
-        """Raise an error for a variable that is fixed to different values at the declared times.
-
-        The declared times are the members of the continuous set. `variable` is the Pyomo variable,
-        and `index` the index of its member without the time: (i,) for ``x[i, t]``.
-        """
+        """Raise an error for a variable that is fixed to different values at the declared times."""
         held = {variable[self._addresses.join(variable, index, t)].value for t in self.times}
         if len(held) > 1:
             raise TranscriptionError(
@@ -215,11 +197,10 @@ class LiveModel:
         return None if held is None else float(held)
 
     def first_guess(self, slot: Slot) -> Callable[[float], float] | None:
-        """Return a variable's `initialize` rule as a function of time.
+        """Return a variable's `initialize` rule as a function of time, None if it is not usable.
 
-        The function raises a `TranscriptionError` where the rule fails. The result is None without
-        a rule, or if the rule fails at a declared time. It is also None if values in the model that
-        are not fixed differ from those of the rule.
+        A usable rule gives the model's values that are not fixed, and does not fail at a declared
+        time. The function raises a `TranscriptionError` where the rule fails.
         """
         component = self.model.find_component(slot.component)
         rule = initial_rule_of(component) if component.ctype is Var else None
@@ -237,21 +218,10 @@ class LiveModel:
     def _guarded(
         self, component: Any, slot: Slot, rule: Any, kind: str, advice: str = ""
     ) -> Callable[[float], float]:
-        """Return a component's rule as a function of time that raises an error if the rule fails.
+        """Return a component's rule, a callable (block, index) -> value, as a function of time.
 
-        The error is a `TranscriptionError` with a message for the user. It replaces the exception
-        of the rule.
-
-        Parameters
-        ----------
-        component : Pyomo component
-            Component that has the rule.
-        slot : Slot
-            The member of the component whose values the function returns.
-        rule : callable
-            (block, index) -> value.
-        kind, advice : str
-            Kind of the rule, and advice to the user, for the message.
+        If the rule fails, the function raises a `TranscriptionError`, whose message contains `kind`
+        and `advice`.
         """
         block, join = component.parent_block(), self._addresses.join
 
@@ -266,10 +236,9 @@ class LiveModel:
         return said
 
     def _member(self, component: Any, slot: Slot, time: float | None = None) -> Any:
-        """Return the Pyomo data object of a variable or parameter.
+        """Return the Pyomo data object of a variable or parameter at a declared time.
 
-        `slot` gives its index without the time. `time` is a member of the continuous set; None for
-        a component that is not indexed by time.
+        `time` is None for a component that is not indexed by time.
         """
         if time is not None:
             return component[self._addresses.join(component, slot.index, time)]
@@ -280,21 +249,20 @@ class LiveModel:
     def signal(self, slot: Slot) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        `slot` is the parameter. The returned function calls the rule of the parameter, and raises a
-        `TranscriptionError` at a time at which the rule fails. A parameter without a rule must be
-        constant.
+        The function calls the parameter's rule, and raises a `TranscriptionError` where the rule
+        fails. A parameter without a rule must be constant.
 
         Raises
         ------
         TranscriptionError
-            If a parameter without a rule has different values at declared times (members of the
-            continuous set). Its values at other times are then unknown. Also if a parameter with a
-            rule has values in the model that differ from those of the rule. Also if the rule fails
-            at a declared time.
+            If a parameter without a rule is not constant, a rule fails at a declared time, or the
+            model's values differ from those of the rule.
         """
         component = self.model.find_component(slot.component)
         rule = rule_of(component)
         held = [float(value(self._member(component, slot, t))) for t in self.times]
+        # Without a rule, values between the declared times are known only if the parameter is
+        # constant.
         if rule is None:
             if len(set(held)) == 1:
                 return lambda _t: held[0]
@@ -322,8 +290,7 @@ class LiveModel:
             The variable: one member of a Pyomo variable, for example ``omega[1]`` of
             ``omega[1, t]``.
         time : float or None
-            The time, a member of the model's continuous set: Pyomo stores values at these times
-            only. None for a variable that is not indexed by time.
+            Member of the continuous set; None for a variable that is not indexed by time.
         number : float
             The solved value.
         """
@@ -347,10 +314,7 @@ class LiveModel:
                     derivative[position].set_value(number, skip_validation=True)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set the integrals of the Pyomo model to their solved values.
-
-        `totals` maps full names to values. The rules that contain the integrands remain unchanged.
-        """
+        """Set the integrals of the Pyomo model to their solved values, given by full name."""
         for integral in self.model.component_objects(Integral, descend_into=True):
             for data in integral.values():
                 if data.name in totals:
@@ -365,8 +329,8 @@ class LiveModel:
     ) -> None:
         """Write the given sensitivities of constraints or of variables into a Pyomo suffix.
 
-        A sensitivity is the derivative of the objective with respect to one of these: the constant
-        side of a constraint, a bound of a variable, or a state.
+        A sensitivity is a derivative of the objective with respect to a constraint's constant side,
+        a variable's bound, or a state.
 
         Parameters
         ----------
@@ -375,8 +339,7 @@ class LiveModel:
         kind : type
             Type of the Pyomo components to which the sensitivities belong: Constraint or Var.
         over_time : mapping
-            Sensitivities over time: name without the time -> function of time, which is called with
-            members of the continuous set.
+            Sensitivities over time: name without the time -> function of time.
         once : mapping
             Sensitivities at single times, and of components without time: full name -> number.
         """
@@ -432,10 +395,10 @@ class LiveModel:
     def _signal_as_interpolant(
         self, slot: Slot, horizon: tuple[float, float], asked: list[float]
     ) -> Interpolant:
-        """Return a parameter over time as an `Interpolant`: polynomials that can be pickled.
+        """Return a parameter over time as an `Interpolant` over `horizon`, for pickling.
 
-        The polynomials extend over `horizon`. Jumps are searched between neighbouring times of
-        `asked`, which rise. If the approximation fails, the result has a message instead.
+        Jumps are searched between neighbouring times of `asked`. If the approximation fails, the
+        result has a message instead.
         """
         try:
             return _as_interpolant(slot, self.signal(slot), horizon, asked)
@@ -449,21 +412,10 @@ def _as_interpolant(
     horizon: tuple[float, float],
     asked: list[float],
 ) -> Interpolant:
-    """Return a function of time as an `Interpolant`: piecewise polynomials that can be pickled.
+    """Return a function of time as an `Interpolant` over `horizon`, for pickling.
 
-    If the function fails, or if too many polynomials are needed, the result has a message with the
-    reason instead of polynomials.
-
-    Parameters
-    ----------
-    slot : Slot
-        Component that the function belongs to, for messages.
-    function : callable
-        Time -> value.
-    horizon : (float, float)
-        Start and end of the approximation.
-    asked : list of float
-        Times in rising order, between which jumps of the function are searched.
+    Jumps are searched between neighbouring times of `asked`. If the approximation fails, the result
+    has a message instead.
     """
     try:
         edges = list(jumps(partial(as_reading, function), asked))
@@ -476,8 +428,7 @@ def _as_interpolant(
 class ModelSnapshot:
     """Values that a model had when its problem was pickled, with the interface of `LiveModel`.
 
-    In a pickled problem, which does not contain the Pyomo model, it takes the place of the
-    `LiveModel`.
+    The snapshot takes the place of the `LiveModel` in a pickled problem.
 
     Attributes
     ----------
@@ -493,14 +444,13 @@ class ModelSnapshot:
         Name -> value of a parameter without time; None if it had no value.
     variables : dict
         (Name, declared time) -> value of a variable; None if it had no value. The time is None for
-        a static variable (a variable without time).
+        a variable without time.
     signals : dict
         Name -> parameter over time, as a function of time.
     guesses : dict
         Name of a variable -> its `initialize` rule, as a function of time.
     schedules : tuple of Interpolant
-        For each `Schedule` or `Phases` object of the `LiveModel`: the values that its method `row`
-        returns, as functions of time.
+        Results of the method `row` of each `Schedule` or `Phases` object, as functions of time.
     """
 
     times: tuple[float, ...]
@@ -514,10 +464,7 @@ class ModelSnapshot:
     schedules: tuple[Interpolant, ...]
 
     def _refuse(self, *_given: Any) -> NoReturn:
-        """Raise an error for operations that need the Pyomo model, which is not pickled.
-
-        The arguments of the operation are ignored.
-        """
+        """Raise an error for operations that need the Pyomo model, which is not pickled."""
         raise TranscriptionError(
             "model: a pickled problem keeps the model's equations and numbers, not the model; "
             "compile the model again to load values into it."
@@ -539,33 +486,25 @@ class ModelSnapshot:
         return self.units.get(family_name(name), "")
 
     def parameter(self, slot: Slot) -> float | None:
-        """Return the value that a parameter without time had when the problem was pickled.
-
-        `slot` is the parameter. The result is None if the parameter had no value.
-        """
+        """Return the value that a parameter had when the problem was pickled, or None."""
         return self.parameters[slot.name]
 
     def variable(self, slot: Slot, time: float | None = None) -> float | None:
-        """Return the value that a variable had in the model when the problem was pickled.
+        """Return the value that a variable had in the model when the problem was pickled, or None.
 
-        `time` is a member of the continuous set; None for a variable without time. The result is
-        None if there was no value.
+        `time` is a member of the continuous set; None for a variable without time.
         """
         return self.variables[slot.name, time]
 
     def first_guess(self, slot: Slot) -> Interpolant | None:
         """Return a variable's `initialize` rule as a function of time, from the pickle.
 
-        `slot` is the variable. The result is None if the variable had no `initialize` rule, or if
-        the values in the model were no longer those of the rule.
+        The result is None if `LiveModel.first_guess` returned None.
         """
         return self.guesses.get(slot.name)
 
     def signal(self, slot: Slot) -> Interpolant:
-        """Return a parameter over time as piecewise polynomials of time, from the pickle.
-
-        `slot` is the parameter.
-        """
+        """Return a parameter over time as piecewise polynomials of time, from the pickle."""
         return self.signals[slot.name]
 
     def snapshot(self, declared: Declarations, horizon: tuple[float, float]) -> ModelSnapshot:  # noqa: ARG002
@@ -574,9 +513,5 @@ class ModelSnapshot:
 
 
 def as_reading(signal: Callable[[float], float], time: float) -> Reading:
-    """Return the value of the function `signal` at a time as a `Reading`.
-
-    The function `jumps` requires this form. The value is the only number of the `Reading`, and the
-    key is None.
-    """
+    """Return the value of the function `signal` at a time as a `Reading`, for `jumps`."""
     return Reading(None, (signal(time),))

@@ -1,7 +1,7 @@
 """Reading of a model's objective; an objective that sums a control over time is refused.
 
-Such a sum is probably meant as an integral: the value of a control at a single time has no effect
-on the trajectory.
+The user probably means an integral, because a control's value at a single time has no effect on the
+trajectory.
 """
 
 from __future__ import annotations
@@ -22,8 +22,6 @@ if TYPE_CHECKING:
 
 def objective_of(copy: WorkingCopy) -> Any:
     """Return the active objective of a model, None if the model has no active objective.
-
-    `copy` is a clone of the user's model, with an additional time in each continuous set.
 
     Raises
     ------
@@ -47,11 +45,7 @@ def objective_of(copy: WorkingCopy) -> Any:
 
 
 def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
-    """Raise an error for an objective that sums a function of a control over the declared times.
-
-    Such an objective depends on a control in the same way at all declared times, the members of the
-    continuous set `time`.
-    """
+    """Raise an error for an objective that sums a function of a control over the declared times."""
     addresses = AddressBook(time)
     states = {d.get_state_var().name for d in copy.model.component_objects(DerivativeVar)}
     symbols: dict[str, Any] = {}
@@ -88,19 +82,9 @@ def _refuse_sum(objective: Any, time: Any, copy: WorkingCopy) -> None:
 
 
 def _is_alike(cost: Any, key: Any, first: dict[Any, Any], other: dict[Any, Any]) -> bool:
-    """Return whether the objective depends on a variable in the same way at two declared times.
+    """Return whether the objective's derivatives with respect to a variable agree at two times.
 
-    The declared times are members of the continuous set. The function compares the derivatives of
-    the objective with respect to the variable at both times.
-
-    Parameters
-    ----------
-    cost : casadi.SX
-        The objective.
-    key : (str, tuple)
-        The variable: name of its component, and its index without the time.
-    first, other : dict
-        Symbols of all variables at one time and at the other time, with keys in the form of `key`.
+    `first` and `other` have the symbols of all variables at these times.
     """
     if key not in other:
         return False

@@ -53,28 +53,22 @@ def transfer_rules(model: Any, copy: Any) -> None:
 
 
 def _innermost(rule: Any) -> Any:
-    """Return the innermost of nested Pyomo initializers, which holds the user's function.
-
-    Pyomo wraps a function in initializers, one inside the other. `rule` is the outermost of them.
-    """
+    """Return the innermost of nested Pyomo initializers, which holds the user's function."""
     while hasattr(rule, _INNER):
         rule = getattr(rule, _INNER)
     return rule
 
 
 def function_of(component: Any) -> Any:
-    """Return the user's function that makes a component's members: (block, index) -> expression.
-
-    The function is found in the rule of `component`, a Pyomo constraint or other component.
-    """
+    """Return the user's function that makes a component's members: (block, index) -> expression."""
     return getattr(_innermost(component._rule), _FUNCTION)  # noqa: SLF001
 
 
 def rule_of(component: Any) -> Any:
-    """Return the rule that makes the members of a component, as a Pyomo initializer.
+    """Return the rule that makes the members of a component, as a Pyomo initializer, or None.
 
-    A rule takes a block and an index. The default function of a mutable parameter counts as a rule.
-    The result is None without a rule, for a constant in its place, and for a ConstraintList.
+    The default function of a mutable parameter counts as a rule. A constant does not, nor does the
+    rule of a ConstraintList.
     """
     if isinstance(component, ConstraintList):
         return None  # Its rule counts its own calls and takes no index.
@@ -87,7 +81,7 @@ def rule_of(component: Any) -> Any:
 def bounds_rule_of(variable: Any) -> Any:
     """Return the rule that gives the members of a variable their bounds, or None.
 
-    The result is None if there is no rule, or if the bounds are constant.
+    Constant bounds are no rule.
     """
     rule = getattr(variable, "_rule_bounds", None)
     return None if rule is None or rule.constant() else rule
@@ -96,14 +90,14 @@ def bounds_rule_of(variable: Any) -> Any:
 def initial_rule_of(variable: Any) -> Any:
     """Return the rule that gives the members of a variable their initial values, or None.
 
-    The result is None if there is no rule, or if the initial value is constant.
+    A constant initial value is no rule.
     """
     rule = getattr(variable, "_rule_init", None)
     return None if rule is None or rule.constant() else rule
 
 
 def refuse_lost_members(copy: Any, template_time: float) -> None:
-    """Raise an error for rules that fail at the template time, which the model does not declare.
+    """Raise an error for a rule that fails at the template time.
 
     The template time is an interior time added to a continuous set, at which equations over time
     are read.
@@ -112,7 +106,7 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
     ----------
     copy : ConcreteModel
         Clone of the user's model, with the template time. Its indexed constraints and named
-        expressions with a rule are checked.
+        expressions are checked.
     template_time : float
 
     Raises
@@ -135,8 +129,8 @@ def refuse_lost_members(copy: Any, template_time: float) -> None:
 def refuse_changed_members(copy: Any) -> None:
     """Raise an error for members that differ from the expression that their rule returns.
 
-    `copy` is the clone of the user's model. Its indexed constraints and named expressions with a
-    rule are checked, but only the last member of each.
+    For each indexed constraint and named expression of the clone `copy`, only the last member is
+    checked.
 
     Raises
     ------
@@ -165,55 +159,43 @@ def refuse_changed_members(copy: Any) -> None:
 
 
 def _is_same(held: Any, stated: Any) -> bool:
-    """Return whether a member's expression equals the expression that its rule returns.
-
-    `held` is the expression of the member in the model, `stated` the expression that the rule
-    returns now. They also count as equal if their texts are equal, because Pyomo cannot compare
-    external functions.
-    """
+    """Return whether a member's expression equals the expression that its rule returns now."""
     parts = [_PrefixNotation().walk_expression(expression) for expression in (held, stated)]
     try:
         is_equal = parts[0] == parts[1]
     except (PyomoException, AttributeError):
         is_equal = False
+    # Pyomo cannot compare external functions, so the texts are compared, too.
     return bool(is_equal) or str(held) == str(stated)
 
 
 class _PrefixNotation(PrefixVisitor):
     """Visitor that writes a Pyomo expression in prefix notation, so that two can be compared.
 
-    A named expression is written as a single entry, without its contents. The contents are compared
-    separately, with the expression that the rule of the named expression returns.
+    A named expression is written without its contents.
     """
 
     def enterNode(self, node: Any) -> Any:  # noqa: N802  Pyomo's name
-        """Append an expression node to the prefix notation, and return its child nodes.
-
-        Pyomo's expression walker calls this method at each node, and then visits the child nodes.
-        A named expression is appended without its child nodes.
-        """
+        """Append an expression node to the prefix notation, and return its child nodes."""
         if isinstance(node, NamedExpressionData):
+            # The contents are compared separately, with the result of the named expression's own
+            # rule.
             self._result.append(node)
             return (), None
         return super().enterNode(node)
 
 
 def _with_rules(copy: Any) -> Iterator[tuple[Any, Any]]:
-    """Yield the indexed constraints and expressions that have a rule, each with its rule.
-
-    `copy` is the clone of the user's model that contains them. A rule is the Pyomo initializer that
-    makes the members.
-    """
+    """Yield the clone's indexed constraints and expressions with a rule, and the rule."""
     for component in copy.component_objects((Constraint, Expression), descend_into=True):
         if component.is_indexed() and rule_of(component) is not None:
             yield component, rule_of(component)
 
 
 class _Translator:
-    """Translator of functions that refer to a model into functions that refer to the model's clone.
+    """Translator of functions that refer to a model into functions that refer to its clone.
 
-    A rule may refer to components of the model through its closure, global variables and default
-    arguments. The copy of the rule refers to the clone's components instead.
+    A rule may refer to the model through its closure, global variables and default arguments.
     """
 
     def __init__(self, model: Any, copy: Any) -> None:
@@ -222,10 +204,10 @@ class _Translator:
         self._functions: dict[FunctionType, FunctionType] = {}
 
     def translate(self, value: Any) -> Any:
-        """Return a copy of a value that refers to components of the model's clone.
+        """Return a copy of a value that refers to the model's clone instead of the model.
 
-        The given value refers to components of the model itself. Components, functions and
-        collections of them are translated; other values are returned unchanged.
+        Components, functions and collections of them are translated; other values are returned
+        unchanged.
         """
         if isinstance(value, Component | ComponentData):
             return self._component(value)
@@ -259,10 +241,7 @@ class _Translator:
         return component if found is None else found
 
     def _function(self, function: FunctionType) -> FunctionType:
-        """Return a copy of a function that refers to the model's clone instead of the model.
-
-        Closure, global variables and default arguments of the copy refer to the clone.
-        """
+        """Return a copy of a function that refers to the model's clone instead of the model."""
         if function in self._functions:
             return self._functions[function]
         cells = tuple(CellType() for _ in function.__closure__ or ())
@@ -281,10 +260,9 @@ class _Translator:
         return translated
 
     def _global(self, value: Any, function: FunctionType) -> Any:
-        """Return the value of a global variable, translated to refer to the model's clone.
+        """Return the value of a global variable of `function`, translated to refer to the clone.
 
-        `value` is the value of the variable, and `function` is the function that reads it. If the
-        value is a function from another module, it is returned unchanged.
+        A function from another module is returned unchanged.
         """
         is_foreign = isinstance(value, FunctionType) and (
             value.__globals__ is not function.__globals__
@@ -301,8 +279,7 @@ def _global_names(code: CodeType) -> set[str]:
 def refusal(name: str, error: Exception) -> TranscriptionError:
     """Return the error for a rule that fails at a time that the model did not declare.
 
-    `name` is the name of the component whose rule fails, and `error` the exception that the rule
-    raised; both appear in the message.
+    The message has the component's name and the exception of the rule.
     """
     return TranscriptionError(
         f"{name}: its rule fails at a time that the model did not declare ({raised(error)}); let "

@@ -1,12 +1,11 @@
 """Rules that branch on time, as data over time for compiled equations.
 
-A rule that branches on its time, or looks up numbers by it, cannot be written as a formula of time.
-This module calls the rule at many times, and sorts the returned expressions into forms. Expressions
-of one form differ in their numbers only. Each form is compiled once. The equations then read data
-at every collocation point: the form that applies, and the numbers that vary in it. Bisection finds
-the times at which these data jump.
+A rule that branches on its time, or looks up numbers by it, is no formula of time. This module
+calls it at many times, and sorts the returned expressions into forms. Expressions of one form
+differ in numbers only. At every collocation point, the compiled equations read which form applies,
+and its numbers that vary. Bisection finds the times at which these data jump.
 
-In a pickle, piecewise polynomials replace the functions of time. No piece extends across a jump.
+A pickle stores piecewise polynomials of time instead.
 """
 
 from __future__ import annotations
@@ -50,10 +49,9 @@ T = TypeVar("T")
 
 
 def _remembered(known: OrderedDict[float, T], time: float, of: Callable[[float], T]) -> T:
-    """Return the value of the function `of` at a time, from a cache if it was evaluated before.
+    """Return the value of the function `of` at a time, from the cache `known` if possible.
 
-    `known` is the cache: time -> value. The cache keeps the values at the 100,000 times that were
-    evaluated last.
+    The cache keeps the 100,000 latest times.
     """
     if time not in known:
         if len(known) >= _REMEMBERED:
@@ -91,8 +89,7 @@ class Statement:
 class Reading:
     """Form and numbers of a rule's result at one time.
 
-    The result of a rule consists of expressions. Two results have the same form if their
-    expressions differ in numbers only.
+    Two results have the same form if their expressions differ in numbers only.
 
     Attributes
     ----------
@@ -108,28 +105,16 @@ class Reading:
 
 @dataclass(kw_only=True)
 class _Form:
-    """Form of a rule's results: expressions that differ in some of their numbers only.
+    """Form of a rule's results: expressions that differ in some of their numbers only."""
 
-    Attributes
-    ----------
-    statement : Statement
-        The rule's result at the first time at which the result has this form.
-    numbers : tuple of float
-        Numbers in `statement`, in the order of their appearance.
-    varying : list of int
-        Positions in `numbers`, from 0, of the numbers that vary between the rule's results of this
-        form.
-    """
-
+    # The rule's result at the first time at which the result has this form, and its numbers.
     statement: Statement
     numbers: tuple[float, ...]
+    # Positions in `numbers`, from 0, of the numbers that vary between results of this form.
     varying: list[int] = field(default_factory=list)
 
     def compare(self, numbers: tuple[float, ...]) -> None:
-        """Record which numbers in the form vary, by comparison with a further result of the rule.
-
-        `numbers` are those of the further result, in the order of their appearance.
-        """
+        """Record which numbers in the form vary, by comparison with a further result."""
         for k, (first, number) in enumerate(zip(self.numbers, numbers, strict=True)):
             if number != first and k not in self.varying:
                 # Such numbers are data over time in the compiled equations. All others are
@@ -140,8 +125,7 @@ class _Form:
 class Schedule:
     """Rule that branches on time, as a few compiled forms and their numbers over time.
 
-    A form is an expression with numbers as parameters. Results of the rule that differ only in
-    their numbers share one form.
+    Results of the rule that differ only in their numbers share one form.
 
     Parameters
     ----------
@@ -150,18 +134,15 @@ class Schedule:
     say : callable
         Time -> `Statement`, the result of the rule.
     times : sequence of float
-        Declared times (members of the continuous set). The rule is called between them, and just
-        before and just after each of them.
+        Declared times (members of the continuous set), beside and between which the rule is called.
     place : callable, optional
-        Given time -> time with which the rule is called instead. If the result of the rule is the
-        same at all times of an interval, `place` can return one time for the whole interval. By
-        default, the rule is called with the given time.
+        Time -> time with which the rule is called instead. It may return one time for a whole
+        interval in which the result is constant. By default, the time is unchanged.
 
     Attributes
     ----------
     slots : tuple of Slot
-        Data of a collocation point that the compiled forms read: factors that select the form, then
-        the numbers that vary. The method `row` returns the values in this order.
+        Data that the compiled forms read: factors that select the form, then the numbers that vary.
 
     Raises
     ------
@@ -195,11 +176,7 @@ class Schedule:
         self.slots = (*self._chosen, *(s for slots in self._numbers for s in slots))
 
     def _slot(self, what: str) -> Slot:
-        """Return a new `Slot`: a named quantity over time, with a new CasADi symbol.
-
-        The name of the `Slot` is the name of the component, followed by the description `what` in
-        parentheses.
-        """
+        """Return a new `Slot` over time, named after the component and the description `what`."""
         name = f"{self.name} ({what})"
         return Slot(name=name, component=self.name, index=(), symbol=casadi.SX.sym(name))
 
@@ -211,22 +188,16 @@ class Schedule:
     def reading(self, time: float) -> Reading:
         """Return the form and the numbers of the rule's result at a time.
 
-        Results of the rule have the same form if they differ in their numbers only.
-
         Raises
         ------
         TranscriptionError
-            If the rule returns a new form, which it did not return at the times tried before
-            compilation. Also if a number varies that was constant at those times.
+            If the form, or a number that varies, was not found at the times tried before
+            compilation.
         """
         return _remembered(self._known, self._place(time), self._read)
 
     def _read(self, time: float) -> Reading:
-        """Call the rule at a time, and return form and numbers of its result.
-
-        Results of the rule have the same form if they differ in their numbers only. A new form is
-        registered before compilation, and an error afterwards: see `_sort`.
-        """
+        """Call the rule at a time, and return form and numbers of its result."""
         statement = self._say(time)
         numbers: list[float] = []
         structure = tuple(_structure(part, numbers) for part in statement.parts)
@@ -237,22 +208,8 @@ class Schedule:
     def _sort(self, found: Reading, statement: Statement, time: float) -> None:
         """Assign the result of a rule to its form, or register the form if it is new.
 
-        A form is an expression with its numbers as parameters.
-
-        Parameters
-        ----------
-        found : Reading
-            Form and numbers of the result.
-        statement : Statement
-            The result of the rule.
-        time : float
-            Time with which the rule was called, for messages.
-
-        Raises
-        ------
-        TranscriptionError
-            Before compilation: if there are too many forms. After compilation: if the form is new,
-            or if a number varies that was constant before compilation.
+        After compilation, a `TranscriptionError` is raised for a new form or a new number that
+        varies; before, for too many forms.
         """
         form = self._forms.get(found.key)
         if not self._is_compiled:
@@ -278,20 +235,15 @@ class Schedule:
             )
 
     def row(self, time: float) -> list[float]:
-        """Return the values, at one time, of the data that the compiled forms read.
+        """Return the values of `slots` at one time: first the factors, then the numbers.
 
-        The order is that of `slots`: first the factors, then the numbers. The factor of a form is 1
-        if the form applies at the time, else 0. If there are several forms, the last one has no
-        factor. It applies if all factors are 0.
+        The factor of a form is 1 if the form applies at the time, else 0. The last of several forms
+        has no factor, and applies if all factors are 0.
         """
         return _remembered(self._rows, self._place(time), self._row)
 
     def _row(self, time: float) -> list[float]:
-        """Call the rule at a time, and return the data that the compiled equations read.
-
-        The data are the result of the method `row`. That method keeps them in a cache, and calls
-        this method for new times.
-        """
+        """Return the result of the method `row` by calling the rule, without a cache."""
         found = self._read(time)
         row = [float(key == found.key) for key in list(self._forms)[: len(self._chosen)]]
         for key, form in self._forms.items():
@@ -303,17 +255,17 @@ class Schedule:
         """Return the parts of the rule's result as CasADi expressions that hold at all times.
 
         The parts are lower bound, body and upper bound of a constraint, or a single expression.
-        Each expression combines all forms, with the symbols of `slots`.
+        Each combines all forms, with the symbols of `slots`.
 
         Parameters
         ----------
         write : callable
-            Translator of a part, which is a Pyomo expression: (part, numbers) -> CasADi expression.
-            The iterator `numbers` yields one item for each number in the part, in the order of
-            appearance. The item is a symbol if the number varies, and the number itself otherwise.
+            Translator of a part: (Pyomo expression, numbers) -> CasADi expression. The iterator
+            `numbers` yields an item for each number in the expression: a symbol if it varies, else
+            the number itself.
         absent : sequence
-            For each part, the value that replaces None, for example minus infinity for an absent
-            lower bound.
+            Replacement of each part that is None, for example minus infinity for an absent lower
+            bound.
 
         Returns
         -------
@@ -338,10 +290,9 @@ class Schedule:
         return result
 
     def _share_body_with_skipped(self, forms: list[list[Any]]) -> None:
-        """Give forms in which the rule skips the constraint the body of the first other form.
+        """Give forms without bounds the body of the first other form, if it is linear.
 
-        The method `written` can then use this body at all times. `forms` has lower bound, body and
-        upper bound of each form. It is changed in place, unless the new body is nonlinear.
+        `forms` has lower bound, body and upper bound of each form, and is changed in place.
         """
         is_skipped = [f.statement.is_skipped for f in self._forms.values()]
         if any(is_skipped) and not all(is_skipped):
@@ -356,8 +307,8 @@ class Schedule:
 class Phases:
     """Indicators of the phases of a horizon with free times, as data for compiled equations.
 
-    An indicator is 1 at times of its phase and 0 elsewhere. The class can take the place of a
-    `Schedule`: both have the attributes `name` and `slots` and the methods `reading` and `row`.
+    An indicator is 1 at times of its phase and 0 elsewhere. Like a `Schedule`, the class has the
+    attributes `name` and `slots` and the methods `reading` and `row`.
     """
 
     def __init__(self, clock: PhaseTimes) -> None:
@@ -369,18 +320,14 @@ class Phases:
         self._clock = clock
 
     def reading(self, time: float) -> Reading:
-        """Return the phase at a time as a `Reading`, the form that the function `jumps` requires.
+        """Return the phase at a time as a `Reading`, for the function `jumps`.
 
-        The key is the index of the phase, and there are no numbers. `time` is in the range of the
-        continuous set.
+        The key is the index of the phase, and there are no numbers.
         """
         return Reading(self._clock.phase_of(time), ())
 
     def row(self, time: float) -> list[float]:
-        """Return a list of the phases' indicators at a time in the range of the continuous set.
-
-        The indicator is 1 for the phase that contains the time, and 0 for every other phase.
-        """
+        """Return the indicators of all phases at a time in the range of the continuous set."""
         phase = self._clock.phase_of(time)
         return [float(k == phase) for k in range(len(self.slots))]
 
@@ -398,11 +345,7 @@ def _either(holds: Any, first: Any, second: Any) -> Any:
 
 
 def _structure(part: Any, numbers: list[float]) -> Any:
-    """Return a hashable key that identifies the structure of a Pyomo expression.
-
-    `part` is the expression. The key leaves out the numbers in the expression. They are appended to
-    the list `numbers` in the order of their appearance.
-    """
+    """Return a hashable key of an expression's structure, and append its numbers to `numbers`."""
     if part is None:
         return None
     if part.__class__ in native_types:
@@ -416,8 +359,8 @@ def _structure(part: Any, numbers: list[float]) -> Any:
 def probes(times: Sequence[float]) -> list[float]:
     """Return the times inside the horizon at which a rule is called to find its forms and jumps.
 
-    There are 64 times spread over the horizon, and one just before and after each of the declared
-    times `times`, all in rising order.
+    In rising order, there are 64 times spread over the horizon, and one just before and after each
+    of the declared times `times`.
     """
     span = times[-1] - times[0]
     between = np.linspace(times[0], times[-1], _PROBES + 1)[:-1] + 0.618 * span / _PROBES
@@ -429,11 +372,13 @@ def probes(times: Sequence[float]) -> list[float]:
 def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterator[float]:
     """Yield, in rising order, the times at which a function of time jumps.
 
+    A jump is a change of the key. It is also a change of a number that does not decrease when the
+    interval around it is halved.
+
     Parameters
     ----------
     reading : callable
-        Time -> `Reading`: numbers, and a key. A change of the key is a jump. A change of a number
-        is a jump if halving the interval around it does not reduce the change.
+        Time -> `Reading`, which has the key and the numbers.
     times : sequence of float
         Times in rising order. Jumps are searched by bisection between neighbouring times.
     """
@@ -445,11 +390,7 @@ def jumps(reading: Callable[[float], Reading], times: Sequence[float]) -> Iterat
 def _jumps_between(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which a function of time jumps.
-
-    `jumps` defines a jump of `reading`. Each jump is located by bisection to within the duration
-    `resolution`.
-    """
+    """Yield the times from `start` to `end` at which a reading jumps, to within `resolution`."""
     while reading(start).key != reading(end).key:
         before, after = start, end
         while after - before > resolution:
@@ -465,11 +406,7 @@ def _jumps_between(
 def _steps(
     reading: Callable[[float], Reading], start: float, end: float, resolution: float
 ) -> Iterator[float]:
-    """Yield the times from `start` to `end` at which a number of a reading jumps.
-
-    `jumps` defines a jump of a number. Each jump is located by bisection to within the duration
-    `resolution`.
-    """
+    """Yield the times from `start` to `end` at which a number jumps, to within `resolution`."""
     for k, (first, last) in enumerate(
         zip(reading(start).numbers, reading(end).numbers, strict=True)
     ):
@@ -494,9 +431,8 @@ def _steps(
 def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
     """Return the fraction of the horizon at which parameters are evaluated for a given fraction.
 
-    If parameters jump at `fraction`, the result is just before the jump. If `fraction` is 0 or 1,
-    the result is slightly inside the horizon. Otherwise, it is `fraction` itself. `jumps_at` are
-    the fractions at which parameters jump, in rising order.
+    The result is just before a jump, slightly inside the horizon at 0 and 1, and otherwise
+    `fraction` itself. `jumps_at` are fractions at which parameters jump, in rising order.
     """
     inside = min(max(fraction, BESIDE), 1.0 - BESIDE)
     nearest = bisect_left(jumps_at, inside - BESIDE)
@@ -510,7 +446,7 @@ def one_sided(fraction: float, jumps_at: Sequence[float]) -> float:
 class Steps:
     """Piecewise constant function of time with steps of equal duration.
 
-    Before the first step the function has the first value, and after the last step the last value.
+    Before the first step, it has the first value, and after the last step, the last value.
 
     Parameters
     ----------
@@ -533,8 +469,6 @@ class Steps:
 
     def edges(self, start: float, end: float) -> list[float]:
         """Return the times at which one step of the function ends and the next step begins.
-
-        The function is piecewise constant, with steps of equal duration.
 
         Parameters
         ----------
@@ -569,19 +503,18 @@ _COMPARED = np.array([-0.97, -0.61, -0.28, 0.13, 0.52, 0.83, 0.99])
 class Interpolant:
     """Approximation of functions of time by piecewise Chebyshev polynomials.
 
-    The approximation has no pieces if a function fails, or if too many pieces are needed. The
-    attribute `refusal` then has the reason.
+    Without pieces, the attribute `refusal` says why: a function fails, or too many pieces are
+    needed.
 
     Attributes
     ----------
     edges : tuple of float, length n_pieces + 1
-        Times that bound the pieces, in rising order; empty if there are no pieces. Every jump of
-        the functions is at an edge. An edge belongs to the piece that starts there.
+        Times that bound the pieces, in rising order, including all jumps. An edge belongs to the
+        piece that starts there.
     pieces : tuple of ndarray, shape (degree + 1, n_functions)
         Chebyshev coefficients of each piece.
     refusal : str
-        Message of the error that is raised for a time outside the edges, or for any time if there
-        are no pieces.
+        Message of the error for a time outside the edges, or for any time if there are no pieces.
     """
 
     edges: tuple[float, ...]
@@ -594,8 +527,7 @@ class Interpolant:
         Raises
         ------
         TranscriptionError
-            If the time is outside the range of the polynomials, or the interpolant has no
-            polynomials.
+            If the time is outside the range of the polynomials, or there are no polynomials.
         """
         if not self.pieces or not self.edges[0] <= time <= self.edges[-1]:
             raise TranscriptionError(self.refusal)
@@ -605,9 +537,9 @@ class Interpolant:
         return np.asarray(chebyshev.chebval(local, self.pieces[k])).tolist()
 
     def reading(self, time: float) -> Reading:
-        """Return the values at a time as a `Reading`, the form that the function `jumps` requires.
+        """Return the values at a time as a `Reading`, for the function `jumps`.
 
-        The numbers are the values of all interpolated functions. The key is the same at all times.
+        The numbers are the values of all functions. The key is the same at all times.
         """
         return Reading(None, tuple(self.row(time)))
 
@@ -673,24 +605,18 @@ def interpolant(
 def _fitted(
     row: Callable[[float], Sequence[float]], first: float, last: float
 ) -> tuple[FloatArray, bool]:
-    """Fit a polynomial to each of several functions of time, between the times `first` and `last`.
+    """Fit polynomials of degree 12 to several functions of time, from `first` to `last`.
 
-    `row` maps a time to a sequence with the value of each function.
-
-    Returns
-    -------
-    ndarray, shape (degree + 1, n_functions)
-        Chebyshev coefficients of the polynomials. Each polynomial has degree 12, and passes through
-        the values at 13 Chebyshev nodes. If all functions are constant, the degree is 0.
-    bool
-        Whether the polynomials agree with the functions between the nodes, to 1e-13 of the largest
-        magnitude of each function.
+    The result has the Chebyshev coefficients, shape (degree + 1, n_functions), and whether the
+    polynomials are accurate.
     """
     local = np.concatenate([_NODES, _COMPARED])
     times = 0.5 * (first + last) + 0.5 * (last - first) * local
     values = np.array([row(float(t)) for t in times])
+    # For constant functions, the degree is 0.
     if np.all(values == values[0]):
         return values[:1], True
     piece = _TO_COEFFICIENTS @ values[: len(_NODES)]
+    # The accuracy is tested between the nodes, relative to the largest magnitude of each function.
     errors = np.abs(chebyshev.chebval(_COMPARED, piece).T - values[len(_NODES) :])
     return piece, bool(np.all(errors <= _ACCURACY * np.abs(values).max(axis=0)))

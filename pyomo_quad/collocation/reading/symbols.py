@@ -1,10 +1,9 @@
 """CasADi symbols of a Pyomo model's components, and the model as expressions of these symbols.
 
-A Pyomo constraint over time has one member for each time in the continuous set. To translate it
-into one equation for all times, an interior time is added to the continuous set of a clone of the
-model: the template time. The constraint's member at the template time is translated to CasADi. This
-equation is imposed at every collocation point. Declared times are the members that the continuous
-set has in the user's own model.
+In Pyomo, a constraint over time has one member for each time in the continuous set. An interior
+time, the template time, is added to this set in a clone of the model. The constraint's member at
+the template time is translated to CasADi, and imposed at every collocation point. Declared times
+are the members that the continuous set has in the user's own model.
 """
 
 from __future__ import annotations
@@ -34,10 +33,9 @@ if TYPE_CHECKING:
 class TimeSymbol:
     """Symbol for time that is passed to a rule of the model, so that one call serves all times.
 
-    - As an index, the symbol equals the template time. The rule's ``m.x[t]`` is the member at the
-      template time.
-    - In arithmetic, the symbol is a Pyomo parameter that stands for physical time.
-    - In a comparison by <, <=, > or >=, the symbol is a number.
+    - As an index, it equals the template time. The rule's ``m.x[t]`` is the member at this time.
+    - In arithmetic, it is a Pyomo parameter that stands for physical time.
+    - In a comparison by <, <=, > or >=, it is a number.
 
     Parameters
     ----------
@@ -53,8 +51,8 @@ class TimeSymbol:
     Attributes
     ----------
     is_read : bool
-        Whether the rule used the number of the symbol (comparisons with declared times do not
-        count). The result of the rule then depends on the number, and does not hold at all times.
+        Whether the rule used the number of the symbol, except in comparisons with declared times.
+        If so, the result does not hold at all times.
     """
 
     def __init__(
@@ -79,9 +77,7 @@ class TimeSymbol:
     def _compare(self, relation: Callable[[Any, Any], Any], other: Any) -> bool:
         """Return the result of comparing the number of this symbol with another number in a rule.
 
-        `relation` is a function of two numbers, such as `operator.lt`. `other` is the second
-        number, or another symbol for time. If it is a number and no declared time, `is_read`
-        becomes True.
+        If `other` is a number and no declared time, `is_read` becomes True.
         """
         # Pyomo compares two symbols when an Integral sorts its times.
         if isinstance(other, TimeSymbol):
@@ -110,8 +106,8 @@ class TimeSymbol:
     def __call__(self, *, exception: bool = True) -> float:
         """Return the number that the symbol has in comparisons, and record that it was read.
 
-        Pyomo's function `value` calls its argument to obtain a number, and passes `exception`,
-        which has no effect here.
+        Pyomo's function `value` calls its argument to obtain a number. The argument `exception` has
+        no effect.
         """
         del exception
         return float(self)
@@ -134,16 +130,15 @@ class TimeSymbol:
     def as_numeric(self) -> Any:
         """Return the Pyomo parameter that stands for physical time.
 
-        Pyomo calls this method where the symbol is an operand or argument in an expression.
+        Pyomo calls this method where the symbol is part of an expression.
         """
         return self.parameter
 
 
 def _of_parameter(operation: str) -> Callable[..., Any]:
-    """Return a method that applies an arithmetic operation to the parameter of a time symbol.
+    """Return a method of `TimeSymbol` that applies an operation to its parameter.
 
-    `operation` is the name of the method of Pyomo expressions, such as ``__add__``. The returned
-    function becomes the method of this name in `TimeSymbol`.
+    The operation is the name of a Pyomo method, such as ``__add__``.
     """
 
     def operate(symbol: TimeSymbol, *others: Any) -> Any:
@@ -163,19 +158,16 @@ for _operation in (
 class Instant(float):
     """Time that a rule receives; used as an index, it selects variables at the template time.
 
-    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. The comparison
-    ``t == 2`` uses the template time. The rule can thus be called with many times, and all its
-    results refer to variables at the template time.
+    In arithmetic, and in a comparison such as ``t < 2``, it is the time itself. In ``t == 2``, the
+    template time is compared. At whatever time the rule is called, its result refers to variables
+    at the template time.
     """
 
     __slots__ = ("template",)
     template: float
 
     def __new__(cls, time: float, template: float) -> Self:
-        """Return a number with the value `time` that selects variables at the time `template`.
-
-        In arithmetic the number is `time`. As the index of a variable it equals `template`.
-        """
+        """Return a number with the value `time` that selects variables at the time `template`."""
         made = super().__new__(cls, time)
         made.template = template
         return made
@@ -200,8 +192,8 @@ RegisterNumericType(Instant)
 class _TrapezoidProbe:
     """Stand-in for the block of an integral: its continuous set consists of two equal times.
 
-    The rule of a `pyomo.dae.Integral` sums trapezoids between the times of the set. Called with
-    this stand-in, the rule returns the integrand: see `integrand`.
+    Called with this stand-in, the rule of a `pyomo.dae.Integral` returns the integrand: see
+    `integrand`.
     """
 
     def __init__(self, block: Any, continuous_set: Any, symbol: TimeSymbol | Instant) -> None:
@@ -210,10 +202,7 @@ class _TrapezoidProbe:
         self._symbol = symbol
 
     def find_component(self, name: str) -> Any:
-        """Return two equal times for the name of the continuous set, else the block's component.
-
-        The rule of an integral calls this method to look up the continuous set.
-        """
+        """Return two equal times for the name of the continuous set, else the block's component."""
         if name == self._set_name:
             return [self._symbol, self._symbol]
         return self._block.find_component(name)
@@ -238,10 +227,8 @@ def integrand(integral: Any, index: Any, symbol: TimeSymbol | Instant) -> Any:
     index : index of the integral, or None
         Index of the member whose integrand is returned; None for an integral without index.
     symbol : TimeSymbol or Instant
-        The time: a `TimeSymbol` stands for any time, and an `Instant` for one time. As an index, it
-        equals the template time, an interior time that was added to the continuous set. The result
-        therefore contains the variables at the template time. The time itself becomes a parameter
-        for a `TimeSymbol`, and a number for an `Instant`.
+        The time: a `TimeSymbol` for all times, or an `Instant` for one time. With either, the
+        variables in the result are those at the template time.
     """
     # `pyomo.dae.Integral` keeps no integrand, only a rule that sums trapezoids between times. The
     # rule is called for a single trapezoid: both ends are `symbol`, and its width is defined as 1.
@@ -277,8 +264,7 @@ class Address:
 def indexed_name(component: str, index: tuple[Any, ...]) -> str:
     """Return the name of a component's member with its index in brackets, as ``omega[1]``.
 
-    `component` is the name of the component. `index` is the index of the member; if it is (), the
-    result is the name of the component alone.
+    If the index is (), the result is the name of the component alone.
     """
     return f"{component}[{','.join(str(i) for i in index)}]" if index else component
 
@@ -287,7 +273,6 @@ class AddressBook:
     """Splitter of the indices of Pyomo components into time and the other indices.
 
     For example, the index (1, 0.5) of a ``Var(rotor, time)`` is split into (1,) and the time 0.5.
-    The result of a split is an `Address`.
 
     Parameters
     ----------
@@ -333,19 +318,12 @@ class AddressBook:
         return found
 
     def of(self, data: Any) -> Address:
-        """Return component name, index without time, and time of a Pyomo data object.
-
-        `data` is a member of a variable, parameter or constraint. The result is an `Address`, which
-        has these three attributes.
-        """
+        """Return the `Address` of a Pyomo data object: component, index without time, and time."""
         component = data.parent_component()
         return self.split(component, data.index())
 
     def split(self, component: Any, index: Any) -> Address:
-        """Split a component's full index into the time and the remaining index, as an `Address`.
-
-        `index` is an index of the component, which may contain a time.
-        """
+        """Split a component's full index into the time and the remaining index, as an `Address`."""
         whole = index_tuple(index)
         name, position = self._name_and_position(component)
         if position is None:
@@ -356,8 +334,8 @@ class AddressBook:
     def join(self, component: Any, index: tuple[Any, ...], time: Any) -> Any:
         """Return a component's full index at a time, the inverse of `split`.
 
-        `index` is the index without the time: (i,) for ``x[i, t]``. `time` is ignored if the
-        component is not indexed by time.
+        The given index is without time: (i,) for ``x[i, t]``. If the component is not indexed by
+        time, `time` is ignored.
         """
         position = self.time_position(component)
         if position is None:
@@ -370,8 +348,7 @@ class AddressBook:
 class Slot:
     """Scalar variable or parameter of the model, with its CasADi symbol.
 
-    In a component over time, it stands for all members that differ in time only: the `Slot` with
-    the name ``rotors.omega[1]`` stands for ``rotors.omega[1, t]`` at all times t.
+    A `Slot` named ``rotors.omega[1]`` stands for ``rotors.omega[1, t]`` at all times t.
 
     Attributes
     ----------
@@ -383,8 +360,8 @@ class Slot:
         Index without the time: (i,) for ``x[i, t]``, () for ``x[t]`` and for ``x``.
     symbol : casadi.SX
     lower, upper : casadi.SX
-        Bounds as expressions of parameters and time, infinite unless given. While a model is being
-        read, they are those of the Pyomo variable instead, None if absent.
+        Bounds as expressions of parameters and time, infinite by default. Until the whole model is
+        read, the bounds of the Pyomo variable, or None.
     nominal : float, optional
         Declared magnitude, for scaling.
     rate : casadi.SX, optional
@@ -403,8 +380,8 @@ class Slot:
     def scaled(self, magnitudes: Mapping[str, float]) -> Slot:
         """Return a copy of the variable, with its magnitude for scaling from a mapping.
 
-        `magnitudes` has magnitudes by name of a variable or, with lower priority, of a component.
-        The magnitude is None if `magnitudes` has neither name.
+        `magnitudes` maps the name of a variable or, with lower priority, of a component to a
+        magnitude. Without either, the magnitude is None.
         """
         return replace(self, nominal=magnitudes.get(self.name, magnitudes.get(self.component)))
 
@@ -413,9 +390,8 @@ class Slot:
 class PathEquation:
     """Constraint lower <= expression <= upper that is imposed at every collocation point.
 
-    `lower`, `expression` and `upper` are CasADi expressions. They contain the variables at a
-    collocation point, the fraction of the horizon, and the parameters. `is_equality` tells whether
-    the constraint is an equality.
+    The CasADi expressions contain the variables at a collocation point, the fraction of the
+    horizon, and the parameters.
     """
 
     name: str
@@ -450,10 +426,10 @@ class PointSymbol:
 
 @dataclass(frozen=True, kw_only=True)
 class PointCondition:
-    """Constraint among values at declared times, static variables and integrals.
+    """Constraint lower <= expression <= upper, in CasADi, that is imposed only once.
 
-    A declared time is a member of the continuous set. The constraint has the form lower <=
-    expression <= upper. `lower`, `expression` and `upper` are CasADi expressions.
+    The expressions contain values at declared times (members of the continuous set), static
+    variables and integrals.
     """
 
     name: str
@@ -466,8 +442,8 @@ class PointCondition:
 class Integral:
     """Integral over the horizon: its symbol in constraints and objective, and its integrand.
 
-    The integrand is a CasADi expression, to be integrated over the fraction of the horizon from 0
-    to 1. It contains the factor d (physical time) / d (fraction of the horizon).
+    The CasADi expression `integrand` is integrated over the fraction of the horizon from 0 to 1. It
+    contains the factor d (physical time) / d (fraction of the horizon).
     """
 
     name: str
@@ -491,14 +467,11 @@ class Declarations:
     parameters, signals : tuple of Slot
         Parameters without time, and parameters over time.
     scheduled : tuple of Slot
-        Symbols for quantities that depend on time but have no CasADi expression of time. Python
-        evaluates these quantities at each collocation point. There are two kinds. A rule that
-        branches on time, or looks up numbers by time, has a symbol for the branch that it takes and
-        symbols for the numbers in the branch. A horizon that free times divide into phases has
-        symbols that tell in which phase a time lies.
+        Symbols for quantities that Python evaluates at each collocation point: the phase of the
+        horizon, and branch and numbers of rules that branch on time.
     clock : PhaseTimes
-        Physical times in CasADi symbols: start and end of the horizon, and the free times. A free
-        time is a time that the solve determines.
+        Physical times in CasADi symbols: start and end of the horizon, and the free times, which
+        the solve determines.
     equations : tuple of PathEquation
         Constraints over time.
     conditions : tuple of PointCondition
@@ -509,8 +482,8 @@ class Declarations:
     objective : casadi.SX
     maximise : bool
     fixed : tuple of (str, float)
-        States that a user fixed at a declared time, as (name, fraction of the horizon). The value
-        of the state is read when the problem is solved.
+        States that a user fixed at a declared time, as (name, fraction of the horizon). Their
+        values are read at each solve.
     outputs, output_equations, output_starts : tuple
         Output states with their equations and initial conditions. Neither the objective nor other
         equations depend on an output state.
@@ -545,27 +518,22 @@ class Declarations:
 
     @property
     def has_signals(self) -> bool:
-        """Whether the model has time-dependent parameters, rules that branch on time, or phases.
+        """Whether data over time must be evaluated at each collocation point before a solve.
 
-        They must be evaluated at each collocation point before a solve. Free times divide the
-        horizon into phases.
+        These data are parameters over time, rules that branch on time, and phases of the horizon.
         """
         return bool(self.signals or self.scheduled)
 
     @property
     def varying(self) -> tuple[Slot, ...]:
-        """All variables over time: states, output states, algebraic variables.
-
-        Output states are states on which neither the objective nor other equations depend.
-        """
+        """All variables over time: states, output states, algebraic variables."""
         return (*self.states, *self.outputs, *self.algebraics)
 
     @property
     def path_data(self) -> tuple[Any, ...]:
         """Symbols of the data of a collocation point, in the order that compiled functions expect.
 
-        The order is: fraction of the horizon, parameters over time (`signals`), other quantities
-        without a CasADi expression of time (`scheduled`), parameters without time (`parameters`).
+        The order is: fraction of the horizon, `signals`, `scheduled`, `parameters`.
         """
         slots = (*self.signals, *self.scheduled, *self.parameters)
         return (self.clock.fraction, *(s.symbol for s in slots))
@@ -616,8 +584,7 @@ class SymbolTable:
     def _clock(self, free: Mapping[float, Any]) -> PhaseTimes:
         """Return start, end and free times of the horizon in CasADi symbols.
 
-        A free time is a time that the solve determines. `free` maps a member of the continuous set
-        to the static variable (variable without time) that gives its physical time.
+        `free` maps a declared time to the static variable that gives its physical time.
         """
         declared = self._copy.declared_times or (0.0, 1.0)
         ends = {declared[0]: "horizon.start", declared[-1]: "horizon.end"}
@@ -639,10 +606,9 @@ class SymbolTable:
         )
 
     def _horizon(self, name: str, time: float) -> Any:
-        """Return the symbol for the physical time at start or end of the horizon.
+        """Return the symbol of a new parameter `name` for the physical start or end of the horizon.
 
-        The symbol belongs to a new parameter called `name`. For a model without a continuous set,
-        the result is the number `time` instead.
+        For a model without a continuous set, the result is the number `time`.
         """
         if self._copy.time is None:
             return casadi.SX(time)
@@ -653,8 +619,8 @@ class SymbolTable:
     def leaf(self, data: Any) -> Any:
         """Return a Pyomo variable, time derivative or mutable parameter in CasADi symbols.
 
-        `data` is the Pyomo data object. A time derivative, and a parameter that equals time, give
-        an expression. An error is raised if `data` is indexed by the time of another horizon.
+        A time derivative, and a parameter that equals time, give an expression. If the component is
+        indexed by the time of another horizon, an error is raised.
         """
         address = self._addresses.of(data)
         self._refuse_other_horizon(data)
@@ -667,10 +633,7 @@ class SymbolTable:
         return self._signal(data, address)
 
     def _refuse_other_horizon(self, data: Any) -> None:
-        """Raise an error if a variable or parameter is indexed by the time of another horizon.
-
-        Expressions of one horizon may not refer to the time of another one.
-        """
+        """Raise an error if a variable or parameter is indexed by the time of another horizon."""
         other = self._copy.other_of(data.parent_component()) if self._copy.others else None
         if other is not None:
             raise TranscriptionError(
@@ -681,16 +644,7 @@ class SymbolTable:
     def _scalar(self, table: dict[str, Slot], data: Any, name: str, **more: Any) -> Any:
         """Return the symbol of a variable or parameter without time, made at first use.
 
-        Parameters
-        ----------
-        table : dict
-            Name -> `Slot` with the symbol; a new `Slot` is added to it.
-        data : Pyomo data object
-            The variable or parameter.
-        name : str
-            Key in `table`.
-        **more
-            Further attributes of a new `Slot`, such as bounds.
+        A new `Slot` with the attributes `more` is added to `table` under `name`.
         """
         if name not in table:
             address = self._addresses.of(data)
@@ -704,28 +658,18 @@ class SymbolTable:
         return table[name].symbol
 
     def fixed_value(self, data: Any) -> Any:
-        """Return the symbol of a parameter, made at first use, with the value of a fixed variable.
-
-        With a parameter, the value can change between solves without another compilation. `data` is
-        the variable, a Pyomo data object.
-        """
+        """Return the symbol, made at first use, of a parameter with a fixed variable's value."""
+        # As a parameter, the value can change between solves without another compilation.
         return self._scalar(self.parameters, data, f"{data.name} (fixed)")
 
     def _static(self, data: Any) -> Any:
-        """Return the symbol of a variable without time.
-
-        A fixed variable becomes a parameter. `data` is the variable, a Pyomo data object.
-        """
+        """Return the symbol of a variable without time; a fixed variable becomes a parameter."""
         if data.fixed:
             return self._scalar(self.parameters, data, data.name)
         return self._scalar(self.statics, data, data.name, lower=data.lower, upper=data.upper)
 
     def _is_clock(self, data: Any) -> bool:
-        """Return whether a parameter over time is time itself: its rule returns its index.
-
-        An example is ``Param(m.t, rule=lambda m, t: t)``. `data` is a member of the parameter, a
-        Pyomo data object.
-        """
+        """Return whether a parameter's rule returns its time, as ``lambda m, t: t``."""
         component, index = data.parent_component(), self._addresses.of(data).index
         is_time_where_declared = all(
             value(component[self._addresses.join(component, index, t)], exception=False) == t
@@ -745,8 +689,7 @@ class SymbolTable:
     def _signal(self, data: Any, address: Any) -> Any:
         """Return the symbol of a parameter over time, or of its value at one time.
 
-        A member at the template time stands for the function of time. If the rule of the parameter
-        returns just its time, the result is the expression of physical time.
+        If its rule returns just its time, the result is the expression of physical time.
         """
         if self._is_clock(data):
             return self._physical_time(address.time)
@@ -773,8 +716,7 @@ class SymbolTable:
     def _varying(self, data: Any, address: Any) -> Any:
         """Return a variable over time, or its time derivative, in CasADi symbols.
 
-        A member at the template time stands for the function of time. An algebraic variable that is
-        fixed at all declared times becomes a parameter.
+        An algebraic variable that is fixed at all declared times becomes a parameter.
         """
         component = data.parent_component()
         is_rate = component.ctype is DerivativeVar
@@ -797,8 +739,7 @@ class SymbolTable:
     def _slot(self, variable: Any, address: Any) -> Slot | None:
         """Return the `Slot` (symbol and bounds) of a variable over time, made at first use.
 
-        The result is None for an algebraic variable that is fixed at all declared times: it becomes
-        a parameter.
+        The result is None for an algebraic variable that is fixed at all declared times.
         """
         name = indexed_name(variable.name, address.index)
         for table in (self.states, self.algebraics):
@@ -822,10 +763,7 @@ class SymbolTable:
         return slot
 
     def _is_fixed_throughout(self, variable: Any, index: tuple[Any, ...]) -> bool:
-        """Return whether a variable over time is fixed at all members of the continuous set.
-
-        `index` is the index of the variable's member without the time: (i,) for ``x[i, t]``.
-        """
+        """Return whether a variable over time is fixed at all members of the continuous set."""
         return all(
             variable[self._addresses.join(variable, index, t)].fixed
             for t in self._copy.declared_times

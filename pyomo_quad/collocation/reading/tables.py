@@ -82,27 +82,19 @@ class Spline:
         return cls(knots=tuple(knots), coefficients=held, degree=degree, ranges=ranges)
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        """Return the spline itself, since it is immutable.
-
-        `memo` is Python's record of copied objects, which is not needed.
-        """
+        """Return the spline itself, since it is immutable."""
         return self
 
     def written(self, arguments: Sequence[Any]) -> Any:
-        """Return the value of the spline as a CasADi expression of its arguments.
+        """Return the value of the spline as a CasADi expression of its arguments, one per axis.
 
         The cost of an evaluation does not depend on the number of data points.
-
-        `arguments` are CasADi expressions, one for each axis of the spline.
         """
         return self._local.written([casadi.SX(argument) for argument in arguments])
 
     @cached_property
     def _local(self) -> LocalSpline:
-        """The same spline as a `LocalSpline`, which is fast to evaluate.
-
-        See docs/theory/transcription.md, "Interpolation tables".
-        """
+        """The same spline as a `LocalSpline`, which is fast to evaluate."""
         return LocalSpline.of(self.knots, self.coefficients, self.degree)
 
     @cached_property
@@ -123,25 +115,12 @@ def _extended_linearly(
 ) -> tuple[FloatArray, FloatArray]:
     """Return knots and coefficients of a spline that is extrapolated linearly beyond its data.
 
-    Inside the range of the data, the result equals the usual interpolating spline. Outside, it is
-    the tangent of that spline at the nearest data point.
-
-    Parameters
-    ----------
-    at : ndarray, shape (n,)
-        Data points along the first axis.
-    values : ndarray, shape (n, ...)
-        Values at the data points; all further axes are interpolated alike.
-    degree : int
-
-    Returns
-    -------
-    knots : ndarray, shape (n_knots,)
-    coefficients : ndarray, shape (n_knots - degree - 1, ...)
-        B-spline coefficients along the first axis; the further axes are those of `values`.
+    Beyond the data points `at`, it is the tangent at the nearest one. Data run along the first
+    axis.
     """
     from scipy.interpolate import make_interp_spline  # noqa: PLC0415  few models have tables
 
+    # Within the data, the result equals this usual interpolating spline.
     spline = make_interp_spline(at, values, k=degree)
     first, last, far = at[0], at[-1], _BEYOND * (at[-1] - at[0])
     inner = spline.t[degree + 1 : -degree - 1]
@@ -166,15 +145,13 @@ class Table(PythonCallbackFunction):
 
     With ``m.density = Table(heights, densities)``, a rule may contain ``m.density(m.h[t])``. The
     function is the cubic not-a-knot spline through the values, which is twice continuously
-    differentiable. Outside the grid, it is extrapolated linearly. It may also have several
-    arguments.
+    differentiable. Outside the grid, it is extrapolated linearly.
 
     Parameters
     ----------
     *grid : array_like
-        One array of grid points for each argument, then the array of values. Each array of grid
-        points has at least four points, in ascending order. The array of values has one axis per
-        argument.
+        For each argument, at least four grid points in ascending order. Then the array of values,
+        with one axis per argument.
     units, arg_units : optional
         Pyomo unit of the values, and tuple of the units of the arguments; dimensionless by default.
 
@@ -211,7 +188,7 @@ class Table(PythonCallbackFunction):
     def _at(self, arguments: Any, _order: int, _fixed: Any) -> tuple[float, list[float], Any]:
         """Return the table's value, gradient and Hessian at given arguments, as Pyomo requires.
 
-        `arguments` are numbers. The Hessian is returned as its upper triangle, column after column.
+        The Hessian is returned as its upper triangle, column after column.
         """
         # Pyomo also passes the required order of derivatives and the constant arguments.
         value, gradient, hessian = self.spline.function(arguments)
@@ -220,11 +197,7 @@ class Table(PythonCallbackFunction):
 
 
 def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
-    """Raise an error for grid points or values that do not define an interpolation table.
-
-    `points` has the grid points of each argument, which must rise. `values` has the values of the
-    table at these points, with one array axis per argument.
-    """
+    """Raise an error for grid points or values that do not define an interpolation table."""
     for axis, at in enumerate(points, start=1):
         if at.ndim != 1 or at.size <= _CUBIC:
             raise TranscriptionError(
@@ -251,8 +224,7 @@ def _refuse_unfit(points: Sequence[FloatArray], values: FloatArray) -> None:
 class TableUse:
     """Argument of an interpolation table in an equation, and the range of the table.
 
-    The range is compared with the values of the argument in a solution, because the table is
-    extrapolated outside the range.
+    A solution in which the argument leaves the range uses the extrapolated table.
 
     Attributes
     ----------
@@ -275,8 +247,8 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
     """Return the CasADi expression of a call of an external function (Pyomo ExternalFunction).
 
     A `Table` becomes its spline. A Python function that accepts symbols becomes the expression that
-    it returns. Any other function becomes the spline through its samples between the bounds of its
-    arguments.
+    it returns. Any other function is sampled between the bounds of its arguments, and becomes the
+    spline through the samples.
 
     Parameters
     ----------
@@ -324,18 +296,8 @@ def external(node: Any, arguments: Sequence[Any], owner: str, uses: list[TableUs
 def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> Any:
     """Return the CasADi expression of a Python function's call, None if the function needs numbers.
 
-    The result is also None if the function fails, or if the values of function and expression
-    differ at one of 20 random points. The points are the same in every call.
-
-    Parameters
-    ----------
-    function : Pyomo ExternalFunction
-        Pyomo component that contains the Python function.
-    inputs : sequence of casadi.SX
-        Arguments of the call in CasADi.
-    stated : sequence
-        Arguments of the call as Pyomo expressions. Their bounds give the range of the random
-        points.
+    Expression and function must agree at 20 random points between the bounds of the arguments
+    `stated`.
     """
     if function._fcn is None:  # noqa: SLF001
         return None
@@ -358,10 +320,7 @@ def _symbolic(function: Any, inputs: Sequence[Any], stated: Sequence[Any]) -> An
 
 
 def _bounds(argument: Any) -> tuple[float | None, float | None]:
-    """Return lower and upper bound of a Pyomo expression, None where it has none.
-
-    `argument` is the expression.
-    """
+    """Return lower and upper bound of a Pyomo expression, None where it has none."""
     from pyomo.contrib.fbbt.fbbt import compute_bounds_on_expr  # noqa: PLC0415  as above
 
     lower, upper = compute_bounds_on_expr(argument)
@@ -369,11 +328,7 @@ def _bounds(argument: Any) -> tuple[float | None, float | None]:
 
 
 def _range(argument: Any) -> tuple[float, float]:
-    """Return the interval from which test values for an argument of a function are drawn.
-
-    `argument` is a Pyomo expression. The interval has the bounds of the expression, or (0.1, 0.9)
-    if one is missing.
-    """
+    """Return the bounds of a Pyomo expression, or (0.1, 0.9) if one of them is missing."""
     lower, upper = _bounds(argument)
     return (0.1, 0.9) if lower is None or upper is None else (float(lower), float(upper))
 
@@ -381,23 +336,8 @@ def _range(argument: Any) -> tuple[float, float]:
 def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
     """Return the spline through samples of a function that can only be called with numbers.
 
-    The number of samples is increased until the relative error of the spline is at most 1e-7. The
-    error is that of `_largest_difference`.
-
-    Parameters
-    ----------
-    function : Pyomo ExternalFunction
-    stated : sequence
-        Arguments of the call as Pyomo expressions. The samples lie between their bounds.
-    owner : str
-        Name of the component that contains the call, for messages.
-
-    Raises
-    ------
-    TranscriptionError
-        If the function has too many arguments, or an argument has no finite bounds. Also if the
-        function fails or is not finite between the bounds. Also if the accuracy is not reached with
-        the largest number of samples.
+    A `TranscriptionError` is raised if the function fails, if an argument has no finite bounds, or
+    if the accuracy is not reached.
     """
     name = function.name
     if len(stated) not in _SAMPLES:
@@ -428,6 +368,7 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
                 "bounds of its arguments; tighten them, or let it have a value there."
             ) from error
 
+    # More samples are taken until the relative error of the spline is at most 1e-7.
     for count in _SAMPLES[len(ranges)]:
         points = [np.linspace(lower, upper, count) for lower, upper in ranges]
         values = _on_grid(call, points)
@@ -447,29 +388,15 @@ def _sampled(function: Any, stated: Sequence[Any], owner: str) -> Spline:
 
 
 def _on_grid(call: Callable[..., float], points: Sequence[FloatArray]) -> FloatArray:
-    """Return a function's values on a grid, with one array axis per argument of the function.
-
-    `call` is the function, which takes one number per argument. `points` are the grid points along
-    each axis.
-    """
+    """Return a function's values on a grid, with one array axis per argument of the function."""
     values = [call(*numbers) for numbers in product(*(at.tolist() for at in points))]
     return np.array(values).reshape([at.size for at in points])
 
 
 def _largest_difference(call: Callable[..., float], spline: Spline, size: float) -> float:
-    """Return the largest relative difference between a function and its spline.
+    """Return the largest difference between a function and its spline, relative to `size`.
 
-    They are compared at 40 random points in the range of the spline, the same in every call.
-
-    Parameters
-    ----------
-    call : callable
-        The function, which takes one number per argument.
-    spline : Spline
-        Spline through samples of the function.
-    size : float
-        Magnitude of the function, by which the difference is divided. If it is 0, the difference is
-        not divided.
+    It is taken over 40 random points in the range of the spline. A `size` of 0 counts as 1.
     """
     generator = np.random.default_rng(seed=0)
     lower, upper = np.transpose(spline.ranges)

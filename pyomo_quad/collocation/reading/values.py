@@ -47,8 +47,7 @@ class Instance:
         (Variable name, fraction of the horizon) -> value, for variables fixed at declared times
         (members of the continuous set).
     overrides : mapping
-        Full name -> parameter value from the caller. The value of a parameter over time may be a
-        function of time.
+        Full name -> parameter value from the caller: a number, or a function of time.
     jumps : tuple of float
         Fractions of the horizon at which a time-dependent parameter may jump.
     left_out : frozenset of str
@@ -66,8 +65,8 @@ class Instance:
     def __getstate__(self) -> dict[str, Any]:
         """Return the attributes that a pickle keeps.
 
-        A parameter value that is a function of time becomes piecewise polynomials, because a Python
-        function may not be picklable.
+        Piecewise polynomials replace functions of time, because a Python function may not be
+        picklable.
         """
         return vars(self) | {
             "overrides": {n: self._picklable(n, v) for n, v in self.overrides.items()}
@@ -76,8 +75,7 @@ class Instance:
     def __deepcopy__(self, memo: dict[int, Any]) -> Instance:
         """Return this object itself, since it is immutable.
 
-        The functions of time in it belong to the caller, and are not copied. `memo` is Python's
-        record of copied objects, which is not needed.
+        The caller's functions of time are not copied.
         """
         return self
 
@@ -86,8 +84,8 @@ class Instance:
     ) -> float | Interpolant | Steps:
         """Return a parameter's value from the caller in a form that can be pickled.
 
-        A function of time becomes an `Interpolant` over the horizon. Numbers, `Interpolant` and
-        `Steps` objects are returned unchanged. `name` is the parameter's name, for messages.
+        A function of time becomes an `Interpolant` over the horizon, unless it is an `Interpolant`
+        or `Steps`.
         """
         if not callable(given) or isinstance(given, Interpolant | Steps):
             return given
@@ -99,16 +97,14 @@ class Instance:
 class ModelValues:
     """Values of the parameters and variables in a Pyomo model, to read and to write.
 
-    Arrays and lists of numbers have the order in which the compiled equations expect the parameters
-    and variables.
+    The results have the order in which the compiled equations expect the parameters and variables.
 
     Parameters
     ----------
     source : LiveModel or ModelSnapshot
         The Pyomo model, or the values that a pickle keeps.
     declared : Declarations
-        The model in CasADi symbols, from which the equations are compiled. It determines the order
-        of the parameters and variables.
+        The model in CasADi symbols, from which the equations are compiled.
     """
 
     def __init__(self, source: LiveModel | ModelSnapshot, declared: Declarations) -> None:
@@ -132,12 +128,11 @@ class ModelValues:
         Parameters
         ----------
         overrides : mapping, optional
-            Values that replace the values in the model. A key is a mutable Pyomo parameter, a fixed
-            variable, or its full name. The value of any other component has no effect.
+            Values that replace those in the model, by mutable Pyomo parameter, fixed variable, or
+            full name. Values of other components have no effect.
         horizon : (float, float), optional
-            Start and end of the horizon; by default the ends of the continuous set. Both are among
-            the returned parameters. If a static variable (a variable without time) determines the
-            start or the end, the value given here has no effect.
+            Start and end of the horizon; by default those of the continuous set. If a static
+            variable gives the start or the end, the value given here has no effect.
 
         Raises
         ------
@@ -153,14 +148,13 @@ class ModelValues:
     def by_name(self, overrides: Overrides | None) -> dict[str, Any]:
         """Return the parameter values that the caller gives, with full names as keys.
 
-        A key of `overrides` is the full name of a parameter, or the Pyomo parameter itself. In the
-        result, all keys are names.
+        A key of `overrides` is the full name of a parameter, or the Pyomo parameter itself.
 
         Raises
         ------
         TranscriptionError
-            If a name is no component of the model. Also if a value is a function of time and the
-            model has free times (times that the solve determines).
+            If a name is no component of the model, or is an immutable parameter. Also if a value is
+            a function of time and the model has free times.
         """
         named = {
             key.name
@@ -188,18 +182,9 @@ class ModelValues:
         return named
 
     def _parameter(self, slot: Slot, named: dict[str, Any], ends: dict[str, float]) -> float:
-        """Return the value of one parameter without time, from the first source that has it.
+        """Return the value of one parameter without time.
 
-        The sources are `ends`, `named` and the model, in this order.
-
-        Parameters
-        ----------
-        slot : Slot
-            The parameter.
-        named : dict
-            Full name -> value given by the caller.
-        ends : dict
-            Parameter name -> start or end of the horizon.
+        The value comes from `ends`, `named` or the model, in this order.
         """
         if slot.name in ends:
             return ends[slot.name]
@@ -210,17 +195,15 @@ class ModelValues:
     def signals(self, instance: Instance) -> Callable[[float], list[float]]:
         """Return the time-dependent data as a function of the fraction of the horizon.
 
-        The data are the parameters over time, then the symbols in `Declarations.scheduled`. An
-        example of the latter is a coefficient that a rule changes at a given time. At a jump, the
-        function returns the values just before it.
+        The data are the parameters over time, then the values of `Declarations.scheduled`. At a
+        jump, the function returns the values just before it. The function raises a
+        `TranscriptionError` if a rule that branches on time returns an expression that was unknown
+        at compilation.
 
         Raises
         ------
         TranscriptionError
-            If a parameter over time has no value from the caller, and `LiveModel.signal` refuses
-            its values in the model. The returned function also raises this error. It does so if a
-            rule that branches on time returns an expression that was unknown when the equations
-            were compiled.
+            If `LiveModel.signal` refuses a parameter over time to which the caller gives no value.
         """
         start, end = self._rule_horizon(instance.horizon)
         found = self._signal_functions(instance.overrides)
@@ -247,9 +230,9 @@ class ModelValues:
     ) -> tuple[float, ...]:
         """Return the fractions of the horizon at which time-dependent data may jump.
 
-        These are the declared times inside the horizon, and the times at which parameters or
-        results of rules jump. Jumps of parameters given as `Steps` are left out. The fractions
-        rise. The result is empty if the model has no time-dependent data.
+        In rising order, these are the declared times inside the horizon, and the times at which
+        parameters or results of rules jump. Jumps of `Steps` are left out. Without time-dependent
+        data, the result is empty.
         """
         if not self._declared.has_signals:
             return ()
@@ -268,11 +251,11 @@ class ModelValues:
     def _rule_horizon(self, horizon: tuple[float, float]) -> tuple[float, float]:
         """Return start and end of the range of times with which rules of the model are called.
 
-        If the model has free times, this is the range of the continuous set, else `horizon`. The
-        method also records the smallest range that contains all ranges returned so far.
+        With free times, it is the range of the continuous set, else `horizon`.
         """
         # With free times, the physical times are unknown.
         found = self.declared_horizon if self._declared.clock.is_free else horizon
+        # The smallest range that contains all ranges returned so far.
         # In a pickle, piecewise polynomials replace the rules over this range.
         self._widest = min(self._widest[0], found[0]), max(self._widest[1], found[1])
         return found
@@ -280,9 +263,7 @@ class ModelValues:
     def _signal_functions(self, overrides: Overrides | None) -> list[Callable[[float], float]]:
         """Return each parameter over time as a function of time.
 
-        The functions have the order in which the compiled equations expect the parameters.
-        `overrides` has the parameter values from the caller, which take precedence over the rules
-        in the model.
+        Values from the caller (`overrides`) take precedence over the rules in the model.
         """
         if not self._declared.signals:
             return []
@@ -292,8 +273,7 @@ class ModelValues:
     def _signal(self, slot: Slot, named: dict[str, Any]) -> Callable[[float], float]:
         """Return a parameter over time as a function of time.
 
-        `slot` is the parameter. `named` maps full names to values or functions from the caller.
-        They take precedence over the rules in the model.
+        Values from the caller, given by full name, take precedence over the rules in the model.
         """
         if slot.name in named:
             given = named[slot.name]
@@ -305,8 +285,8 @@ class ModelValues:
     def fixed(self) -> dict[tuple[str, float], float]:
         """Return the values of states that a user fixed at members of the continuous set.
 
-        The keys are (variable name, fraction of the horizon). A TranscriptionError is raised if a
-        fixed state has no value.
+        The keys are (variable name, fraction of the horizon). If a fixed state has no value, a
+        TranscriptionError is raised.
         """
         first, last = self.declared_horizon
         slots = {s.name: s for s in self._declared.varying}
@@ -319,8 +299,7 @@ class ModelValues:
     def _declared_time(self, first: float, last: float, fraction: float) -> float:
         """Return the member of the continuous set nearest to a fraction of the horizon.
 
-        `first` and `last` are the first and the last member of the set; `fraction` is 0 at the
-        first member and 1 at the last.
+        `first` and `last` are the first and the last member of the set.
         """
         wanted = first + (last - first) * fraction
         return min(self._source.times, key=lambda t: abs(t - wanted))
@@ -328,8 +307,7 @@ class ModelValues:
     def initial_values(self, slot: Slot) -> list[tuple[float, float]]:
         """Return a variable's values in the model, as pairs (fraction of the horizon, value).
 
-        `slot` is the variable. The pairs belong to the members of the continuous set (declared
-        times) at which the variable has a value.
+        Members of the continuous set at which the variable has no value are left out.
         """
         first, last = self.declared_horizon
         pairs = []
@@ -342,8 +320,8 @@ class ModelValues:
     def first_guesses(self, slot: Slot, fractions: FloatArray) -> FloatArray | None:
         """Return the values of a variable's `initialize` rule at fractions of the horizon.
 
-        The result is None if there is no rule, or if the model's values differ from those of the
-        rule. It is also None if the rule fails or is not finite at one of the fractions.
+        The result is None if `LiveModel.first_guess` finds no usable rule. It is also None if the
+        rule fails or is not finite at one of the fractions.
         """
         first, last = self.declared_horizon
         guess = self._source.first_guess(slot)
@@ -357,10 +335,7 @@ class ModelValues:
         return found if np.all(np.isfinite(found)) else None
 
     def static_value(self, slot: Slot) -> float | None:
-        """Return the value in the model of a variable without time.
-
-        `slot` is the variable. The result is None if the variable has no value.
-        """
+        """Return the value in the model of a variable without time, None if it has no value."""
         return self._source.variable(slot)
 
     def declared_fractions(self) -> list[float]:
@@ -378,8 +353,8 @@ class ModelValues:
         slot : Slot
             The variable.
         fraction : float or None
-            The time, a member of the continuous set as a fraction of the horizon; None for a
-            variable without time.
+            Member of the continuous set as a fraction of the horizon; None for a variable without
+            time.
         number : float
             The solved value.
         """
@@ -397,27 +372,20 @@ class ModelValues:
         self._source.load_rates(self._declared_time(*self.declared_horizon, fraction), rate)
 
     def load_integrals(self, totals: Mapping[str, float]) -> None:
-        """Set the model's integrals to their solved values.
-
-        `totals` maps full names to values.
-        """
+        """Set the model's integrals to their solved values, given by full name."""
         self._source.load_integrals(totals)
 
     def snapshot(self) -> ModelSnapshot:
         """Return the model's current values, for a pickle.
 
-        Functions of time, such as the rules of parameters, are stored as piecewise polynomials over
-        the continuous set and the horizons of all solves so far.
+        Functions of time become piecewise polynomials over the continuous set and the horizons of
+        all solves so far.
         """
         return self._source.snapshot(self._declared, self._widest)
 
 
 def _present(name: str, number: float | None) -> float:
-    """Return the value of a component, or raise an error if it has no value.
-
-    `number` is the value, None if there is none. `name` is the name of the component, for the
-    message.
-    """
+    """Return the value of a component, or raise an error if it has no value."""
     if number is None:
         raise TranscriptionError(f"{name}: has no value; give it one before the solve.")
     return number

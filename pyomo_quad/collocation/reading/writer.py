@@ -1,7 +1,8 @@
 """Translation of Pyomo expressions to CasADi expressions.
 
 Equations over time are translated at the template time, an interior time added to the continuous
-set. The symbols in the translation stand for functions of time, so that it holds at all times.
+set. The symbols in a translation stand for functions of time, so the translation holds at all
+times.
 """
 
 from __future__ import annotations
@@ -83,9 +84,8 @@ class ExpressionWriter:
     leaf : callable
         Takes a Pyomo variable or mutable parameter (data object) and returns its symbol.
     named : callable, optional
-        Takes a named Pyomo expression and returns its replacement: a CasADi or another Pyomo
-        expression. If the callable is not given or returns None, the definition of the named
-        expression is translated.
+        Takes a named Pyomo expression and returns its replacement, a CasADi or Pyomo expression.
+        For None, the definition of the named expression is translated.
 
     Notes
     -----
@@ -123,11 +123,7 @@ class ExpressionWriter:
     def _initialize(self, expression: Any) -> tuple[bool, Any]:
         """Tell Pyomo's expression walker whether to descend into an expression.
 
-        Returns
-        -------
-        (bool, Any)
-            (True, `expression`) to descend into it. Otherwise False and the translation of
-            `expression` to CasADi.
+        The result is (True, `expression`) to descend into it, else (False, translation).
         """
         go_on, value = self._before_child(None, expression, 0)
         return go_on, expression if go_on else value
@@ -135,11 +131,7 @@ class ExpressionWriter:
     def _before_child(self, _parent: Any, child: Any, _index: int) -> tuple[bool, Any]:
         """Tell Pyomo's expression walker whether to descend into the argument of an operation.
 
-        Returns
-        -------
-        (bool, Any)
-            (True, None) to descend into the argument `child`. Otherwise False and the translation
-            of `child` to CasADi.
+        The result is (True, None) to descend into it, else (False, translation).
         """
         if child.__class__ in native_types:
             return False, child
@@ -161,8 +153,7 @@ class ExpressionWriter:
     def _atom(self, child: Any) -> Any:
         """Return the CasADi symbol or number for an operand that is not itself an operation.
 
-        `child` is the operand in the Pyomo expression. A variable or parameter gives a symbol, a
-        constant gives its number, and a unit gives the number 1.
+        A unit gives the number 1.
         """
         if isinstance(child, _PyomoUnit):
             return 1.0
@@ -171,12 +162,8 @@ class ExpressionWriter:
         return child.value if isinstance(child, NumericConstant) else self._leaf(child)
 
     def _exit_node(self, node: Any, arguments: list[Any]) -> Any:
-        """Return the CasADi expression of an operation or named expression of Pyomo.
-
-        `node` is the operation or named expression. `arguments` are its arguments, already
-        translated to CasADi. Pyomo's expression walker calls this method after it has visited all
-        arguments.
-        """
+        """Return the CasADi expression of an operation or named expression of Pyomo."""
+        # Pyomo's expression walker calls this method after it has visited all arguments.
         if node.is_named_expression_type():
             self._named[id(node)] = arguments[0]
             return arguments[0]
@@ -200,8 +187,7 @@ class ExpressionWriter:
     def _apply(self, node: Any, arguments: list[Any]) -> Any:
         """Return the CasADi expression of a Pyomo operation applied to translated arguments.
 
-        An operation without a smooth counterpart in CasADi is an error. The calling method stores
-        the name for its message in the attribute `_owner`.
+        A `TranscriptionError` is raised for an operation without a smooth counterpart in CasADi.
         """
         for kind, operation in _OPERATIONS:
             if isinstance(node, kind):
@@ -214,10 +200,7 @@ class ExpressionWriter:
         raise self._unsupported(node.name if is_function else type(node).__name__)
 
     def _unsupported(self, what: str) -> TranscriptionError:
-        """Return the error for a function that cannot be translated.
-
-        `what` is the name of the function, for the message.
-        """
+        """Return the error for a function, named `what`, that cannot be translated."""
         return TranscriptionError(
             f"{self._owner}: {what} is not supported; write it with smooth functions (for a "
             "switch: a tanh or sqrt smoothing)."
@@ -227,8 +210,7 @@ class ExpressionWriter:
 def same_expression(first: Any, second: Any) -> bool:
     """Return whether two CasADi expressions are the same function of the same symbols.
 
-    Expressions with different trees are compared by their values at five random points, the same in
-    every call.
+    Expressions with different trees are compared by their values at five random points.
     """
     first, second = casadi.SX(first), casadi.SX(second)
     if casadi.is_equal(first, second, 1_000_000):
@@ -255,9 +237,6 @@ _ABSENT = (-casadi.inf, 0.0, casadi.inf)
 class TemplateWriter:
     """Translator of a model's components to CasADi expressions, for all times.
 
-    An equation at the template time of the working copy serves for all times. Each named expression
-    and integral is translated once.
-
     Parameters
     ----------
     copy : WorkingCopy
@@ -274,10 +253,8 @@ class TemplateWriter:
     table_uses : list of TableUse
         Arguments of interpolation tables found so far.
     schedules : list of Schedule or Phases
-        Objects that compute data over time for which there is no CasADi expression. There is a
-        `Schedule` for each rule that branches on time or looks up numbers by time. If free times
-        (times that the solve determines) divide the horizon into phases, there is also one
-        `Phases` object.
+        A `Schedule` for each rule that branches on time or looks up numbers by time. For a horizon
+        with several phases, also a `Phases` object.
     """
 
     def __init__(
@@ -305,8 +282,8 @@ class TemplateWriter:
         owner : str
             Name of the component that contains the expression, for messages.
         over_time : bool, default False
-            Whether the expression belongs to an equation over time. The value of a variable at a
-            single time (member of the continuous set) is then an error.
+            Whether the expression belongs to an equation over time. A value at a declared time is
+            then an error.
         """
         before, self._in_path = self._in_path, over_time
         try:
@@ -315,10 +292,9 @@ class TemplateWriter:
             self._in_path = before
 
     def bound(self, bound: Any, otherwise: float, name: str) -> Any:
-        """Return the CasADi expression of a bound.
+        """Return the CasADi expression of a bound, or `otherwise` for an absent bound (None).
 
-        `otherwise` is the result for an absent bound (None). `name` is the name of the component
-        with the bound, for messages.
+        `name` is the name of the component with the bound, for messages.
         """
         return casadi.SX(otherwise if bound is None else self.write(bound, name))
 
@@ -327,7 +303,7 @@ class TemplateWriter:
     ) -> PathEquation | None:
         """Return a constraint over time as a `PathEquation`: lower <= expression <= upper.
 
-        The result is None for a constraint at declared times only: its rule skips all times between
+        The result is None for a constraint at declared times only. Its rule skips all times between
         them, or it has neither a rule nor a member at the template time.
 
         Parameters
@@ -336,8 +312,7 @@ class TemplateWriter:
         index : tuple
             Index without the time: (i,) for ``x[i, t]``.
         instance : ConstraintData or None
-            The constraint's member at the template time (the added interior time at which equations
-            are read); None if the constraint has no member at that time.
+            The constraint's member at the template time, None if it has no such member.
         """
         rule, name = rule_of(component), indexed_name(component.name, index)
         if rule is None and instance is None:
@@ -359,10 +334,7 @@ class TemplateWriter:
         )
 
     def bounds_over_time(self, slot: Slot) -> tuple[Any, Any]:
-        """Return lower and upper bound of a variable over time as CasADi expressions.
-
-        `slot` is the variable.
-        """
+        """Return lower and upper bound of a variable over time as CasADi expressions."""
         variable = self.copy.model.find_component(slot.component)
         rule, changed = bounds_rule_of(variable), self.changed_bounds(slot)
         if rule is None or changed is not None:
@@ -389,11 +361,9 @@ class TemplateWriter:
         Returns
         -------
         (lower, upper) or None
-            Bounds that apply at all times. None if any changed bounds apply at single declared
-            times only. This is so in two cases:
-
-            - A member of the variable keeps its declared bounds.
-            - The variable is a state, no member is fixed, and the members' bounds differ.
+            None if changed bounds apply at single declared times only. This is so if a member keeps
+            its declared bounds. It is also so for a state without fixed members whose members'
+            bounds differ.
 
         Raises
         ------
@@ -417,10 +387,7 @@ class TemplateWriter:
         )
 
     def declared_bounds(self, data: Any) -> tuple[float | None, float | None]:
-        """Return the bounds of a variable's member according to the variable's declaration.
-
-        `data` is the member, a Pyomo data object. A bound is None where the declaration gives none.
-        """
+        """Return a member's bounds according to the declaration of its variable, None if absent."""
         variable, address = data.parent_component(), self.addresses.of(data)
         rule = bounds_rule_of(variable)
         if rule is None:
@@ -432,32 +399,14 @@ class TemplateWriter:
         return tuple(member.bounds)
 
     def _member(self, slot: Slot, time: float) -> Any:
-        """Return the member (Pyomo data object) of a variable over time at a given time.
-
-        `slot` is the variable. `time` is a member of the continuous set.
-        """
+        """Return the Pyomo data object of a variable over time at a declared time."""
         variable = self.copy.model.find_component(slot.component)
         return variable[self.addresses.join(variable, slot.index, time)]
 
     def _over_time(self, name: str, say: Callable[[Any], Statement]) -> tuple[list[Any], bool]:
-        """Return the parts of a rule's result as functions of time, and whether it is an equality.
+        """Return the parts of a rule's result at all times, and whether it is an equality.
 
-        The parts are lower bound, body and upper bound of a constraint, or a single expression. If
-        the rule needs its time as a number, a `Schedule` of the rule is added to `schedules`.
-
-        Parameters
-        ----------
-        name : str
-            Name of the component, for messages.
-        say : callable
-            Time -> `Statement`, the result of the rule.
-
-        Returns
-        -------
-        list of casadi.SX
-            The parts, as expressions that hold at all times.
-        bool
-            Whether the rule states an equality.
+        The parts are the bounds and the body of a constraint, or a single expression.
         """
         symbol = TimeSymbol(self.copy.template_time, self._clock)
         statement = _attempt(say, symbol)
@@ -481,22 +430,7 @@ class TemplateWriter:
     def _statement_at(self, name: str, say: Callable[[Any], Statement], time: float) -> Statement:
         """Call a component's rule at one time, and return the result of the rule.
 
-        The result is a `Statement`. For a constraint it holds a lower bound, a body and an upper
-        bound. For a named Pyomo expression it holds a single Pyomo expression.
-
-        Parameters
-        ----------
-        name : str
-            Name of the component, for messages.
-        say : callable
-            Time -> `Statement`, the result of the rule.
-        time : float
-            Time with which the rule is called.
-
-        Raises
-        ------
-        TranscriptionError
-            If the rule fails, or uses a free time (a time that the solve determines) as a number.
+        A `TranscriptionError` is raised if the rule fails, or uses a free time as a number.
         """
         template = self.copy.template_time
         if self.symbols.clock.is_free:
@@ -518,15 +452,15 @@ class TemplateWriter:
         return statement
 
     def at_instant(self, data: Any) -> Any:
-        """Return a constraint's member at a declared time, with the physical time as a symbol.
+        """Return a constraint's member at a declared time, with a free physical time as a symbol.
 
-        The symbol replaces the number in a rule such as ``m.x[t] == t``. The member is returned
-        unchanged if it has no rule, or if its physical time depends on no free time.
+        The symbol replaces the number in a rule such as ``m.x[t] == t``. A member without a rule is
+        returned unchanged.
 
         Raises
         ------
         TranscriptionError
-            If the rule needs the physical time as a number although it depends on a free time.
+            If the rule needs a physical time as a number although it depends on a free time.
         """
         component, address = data.parent_component(), self.addresses.of(data)
         rule, clock = rule_of(component), self.symbols.clock
@@ -553,10 +487,10 @@ class TemplateWriter:
         return any(s.name == name for s in self.schedules)
 
     def scheduled_beside(self, time: float, side: int = -1) -> dict[str, tuple[Any, float]]:
-        """Return the values of time-dependent data, just before or just after a given time.
+        """Return the values of the data in `schedules`, just before or just after a given time.
 
-        The data are those of all `schedules`. `side` is -1 before and 1 after `time`. The result
-        maps the name of each symbol to (symbol, value).
+        `side` is -1 before and 1 after `time`. The result maps the name of each symbol to (symbol,
+        value).
         """
         first, last = self.copy.declared_times[0], self.copy.declared_times[-1]
         near = BESIDE * (last - first)
@@ -568,26 +502,19 @@ class TemplateWriter:
         }
 
     def _within(self, time: float) -> float:
-        """Return the midpoint between the declared times before and after a given time.
-
-        Declared times are the members of the continuous set.
-        """
+        """Return the midpoint between the declared times before and after a given time."""
         declared = self.copy.declared_times
         after = min(max(bisect_left(declared, time), 1), len(declared) - 1)
         return 0.5 * (declared[after - 1] + declared[after])
 
     def _part(self, part: Any, name: str, absent: Any) -> Any:
-        """Return the CasADi expression of a part of a rule's result: a bound, or a body.
-
-        `absent` is the result for a missing part (None), for example infinity for an upper bound.
-        """
+        """Return the CasADi expression of a bound or a body, or `absent` if it is None."""
         return casadi.SX(absent if part is None else self.write(part, name, over_time=True))
 
     def _with_numbers(self, part: Any, numbers: Iterator[Any], name: str) -> Any:
         """Translate a Pyomo expression to CasADi, with given replacements of its numbers.
 
-        `numbers` yields the replacements in the order in which the numbers appear: a symbol, or the
-        number itself if it does not change over time.
+        `numbers` yields the replacements in the order in which the numbers appear.
         """
         if part.__class__ in native_types:
             return next(numbers)
@@ -599,8 +526,8 @@ class TemplateWriter:
     def over_time(self, name: str, index: tuple[Any, ...]) -> Any:
         """Return a variable or expression over time as a CasADi expression that holds at any time.
 
-        `index` is the index without the time: (i,) for ``x[i, t]``. The result is None if the model
-        has no component over time called `name`.
+        The index is without time: (i,) for ``x[i, t]``. If there is no component over time called
+        `name`, the result is None.
 
         Raises
         ------
@@ -657,8 +584,7 @@ class TemplateWriter:
     def named(self, expression: Any) -> Any:
         """Return the replacement of a named Pyomo expression or integral, in CasADi symbols.
 
-        It is the symbol of an integral, or the result of the rule of an expression at the template
-        time. None means that the definition is translated instead.
+        The result is None if the definition of the expression is translated instead.
         """
         component = expression.parent_component()
         if component is None:
@@ -674,16 +600,7 @@ class TemplateWriter:
     def _expression(self, component: Any, index: tuple[Any, ...], rule: Any) -> Any:
         """Return the CasADi expression of a named Pyomo expression over time, from its rule.
 
-        The rule is called at first use. The result is cached by name.
-
-        Parameters
-        ----------
-        component : Expression
-            The named expression.
-        index : tuple
-            Index of its member without the time: (i,) for ``x[i, t]``.
-        rule : Pyomo initializer
-            Rule of `component`, in the form in which Pyomo stores it.
+        The result is cached by name.
         """
         name, block = indexed_name(component.name, index), component.parent_block()
         if name in self._by_rule:
@@ -698,8 +615,7 @@ class TemplateWriter:
     def _parameter_over_time(self, data: Any, address: Address) -> Any:
         """Return a parameter over time as a differentiable CasADi expression of time.
 
-        A member at a declared time gives the value at that time. A parameter without a rule, or
-        without time, is returned as its symbol.
+        At a declared time, its value is returned. Without a rule, the result is a symbol.
         """
         component = data.parent_component()
         rule = rule_of(component)
@@ -717,11 +633,9 @@ class TemplateWriter:
         return casadi.substitute(over_time, old, casadi.SX(new))
 
     def _integral(self, component: Any, index: Any) -> Any:
-        """Return the CasADi symbol of an integral.
+        """Return the CasADi symbol of an integral, and store its integrand at first use.
 
-        `component` and `index` identify the integral in the Pyomo model. At first use, the
-        integrand is translated and stored with the symbol in the dictionary `integrals`. An
-        integral inside an equation over time is an error.
+        A `TranscriptionError` is raised for an integral inside an equation over time.
         """
         if self._in_path:
             raise TranscriptionError(
@@ -743,10 +657,7 @@ class TemplateWriter:
 
 
 def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement | None:
-    """Return the result of calling a rule with a symbol in place of time; None if that fails.
-
-    `say` calls the rule with a time, here with `symbol`.
-    """
+    """Return the result of calling a rule with a symbol in place of time; None if that fails."""
     try:
         # Hide Pyomo's log of this failure: the second reading of the rule recovers from it.
         with LoggingIntercept(None, "pyomo.core"):
@@ -756,10 +667,7 @@ def _attempt(say: Callable[[Any], Statement], symbol: TimeSymbol) -> Statement |
 
 
 def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
-    """Raise an error for a rule that uses its time as a number in a model with free times.
-
-    `error` is the exception that the rule raised, None if it raised none.
-    """
+    """Raise an error for a rule that uses its time as a number in a model with free times."""
     # Physical times are unknown when the rules are called. Only comparisons with declared times are
     # allowed.
     told = "" if error is None else f" ({raised(error)})"
@@ -770,11 +678,8 @@ def _refuse_number(name: str, error: Exception | None = None) -> NoReturn:
 
 
 def _as_numeric(statement: Statement) -> Statement:
-    """Return a rule's result with the Pyomo parameter for physical time in place of a `TimeSymbol`.
-
-    Only parts that are the symbol itself are replaced, for example a bound that equals the time.
-    Inside an expression, Pyomo has already put the parameter in place of the symbol.
-    """
+    """Return a rule's result with Pyomo parameters in place of parts that are a `TimeSymbol`."""
+    # Inside expressions, Pyomo has already put the parameter in place of the symbol.
     # The symbol is no Pyomo object.
     parts = (p.as_numeric() if isinstance(p, TimeSymbol) else p for p in statement.parts)
     return replace(statement, parts=tuple(parts))
@@ -789,13 +694,8 @@ def is_unbounded(lower: Any, upper: Any) -> bool:
 def _relation(said: Any, name: str) -> Statement:
     """Return the result of a constraint's rule as lower bound, body and upper bound.
 
-    `said` is the object that the rule returned, and `name` the name of the constraint. A skipped
-    constraint has no bounds.
-
-    Raises
-    ------
-    TranscriptionError
-        If the rule returned `Constraint.Infeasible`.
+    A skipped constraint has no bounds. If the rule returns `Constraint.Infeasible`, a
+    `TranscriptionError` is raised.
     """
     if said is Constraint.Skip or said is Constraint.Feasible or said is True:
         return Statement(parts=(None, 0.0, None))

@@ -1,8 +1,8 @@
 """Active limits, and the elements in which limits become active or inactive (junctions).
 
-A limit counts as active where its scaled multiplier is larger than its scaled slack (the distance
-to the limit): see docs/theory/refinement.md, eq. (7). Arrays of limits over time have this order:
-lower bounds of states and algebraic variables, upper bounds of these variables, lower sides of path
+A limit counts as active where its scaled multiplier exceeds its scaled slack (the distance to the
+limit): see docs/theory/refinement.md, eq. (7). Arrays of limits over time have this order: lower
+bounds of states and algebraic variables, upper bounds of these variables, lower sides of path
 equations, and upper sides of path equations.
 """
 
@@ -30,8 +30,7 @@ SAME = 1e-12
 def junction_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit becomes active or inactive.
 
-    Some element boundaries are required by the problem itself, for example where a parameter jumps.
-    Changes of limits at these boundaries are not counted.
+    Changes at element boundaries that `known_boundaries` returns are not counted.
     """
     active = active_limits(solution)
     return _changing(solution, np.ones(active.shape[1], dtype=bool), active)
@@ -41,8 +40,8 @@ def switch_elements(solution: Solution) -> frozenset[int]:
     """Return the indices of elements in or beside which a limit on controls switches.
 
     A limit on controls contains algebraic variables only. It switches where it becomes active or
-    inactive. Switches at element boundaries that the problem itself requires are not counted. An
-    element is left out if a limit on a state or rate also switches in or beside it.
+    inactive. Switches at `known_boundaries` are not counted. An element is left out if a limit on a
+    state or rate also switches in or beside it.
     """
     chosen, active = _limits_on_algebraics(solution), active_limits(solution)
     # A costate may jump where a limit on a state or a rate (time derivative of a state) switches.
@@ -52,8 +51,7 @@ def switch_elements(solution: Solution) -> frozenset[int]:
 def _limits_on_algebraics(solution: Solution) -> NDArray[np.bool_]:
     """Return for each limit over time whether it limits algebraic variables alone.
 
-    The other limits involve a state or a rate (derivative of a state). The shape is (n_limits,);
-    the module's docstring gives the order of the limits.
+    The limits have the order in the module's docstring.
     """
     program, layout = solution.program, solution.program.layout
     path, n = program.compiled.path, layout.n_states
@@ -69,14 +67,7 @@ def _changing(
 ) -> frozenset[int]:
     """Return the indices of elements in or beside which chosen limits become active or inactive.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution whose mesh has the elements.
-    limits : ndarray of bool, shape (n_limits,)
-        True for the chosen limits.
-    active : ndarray of bool, shape (n_points, n_limits)
-        Whether each limit is active at each collocation point.
+    `limits` is True for the chosen limits. `active` has the shape (n_points, n_limits).
     """
     element = solution.mesh.element_of_point
     is_known = np.isin(element[1:], np.flatnonzero(known_boundaries(solution))) & (
@@ -87,11 +78,11 @@ def _changing(
 
 
 def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
-    """Return for each element boundary of the mesh whether the problem requires it.
+    """Return which element boundaries of the mesh the problem requires, shape (n_elements + 1,).
 
-    The start and the end of the horizon are required. So is every time at which a parameter jumps,
-    a variable is fixed, or a condition or the objective contains a value. The shape is
-    (n_elements + 1,).
+    The problem requires the start and the end of the horizon. It also requires each time at which a
+    parameter jumps, a variable is fixed, or a condition applies. Times to which the objective
+    refers are required, too.
     """
     required = solution.problem.required_breakpoints(solution.instance)
     starts = np.asarray(solution.mesh.breakpoints)
@@ -101,7 +92,7 @@ def known_boundaries(solution: Solution) -> NDArray[np.bool_]:
 def active_limits(solution: Solution) -> NDArray[np.bool_]:
     """Return whether each limit over time is active at each collocation point.
 
-    The result has shape (n_points, n_limits). The module's docstring gives the order of the limits.
+    The shape is (n_points, n_limits). The module's docstring gives the order of the limits.
     """
     pulls, slacks = _pulls_and_slacks(solution)
     # At an interior-point solution, the product of multiplier and slack is the same small number
@@ -112,8 +103,8 @@ def active_limits(solution: Solution) -> NDArray[np.bool_]:
 def kinks(solution: Solution) -> FloatArray:
     """Return the times of kinks, at which an algebraic variable reaches or leaves a limit.
 
-    At a kink the variable is continuous and its slope jumps. The slack is extrapolated to zero: see
-    docs/theory/refinement.md, "Junctions".
+    At a kink the variable is continuous and its slope jumps: see docs/theory/refinement.md,
+    "Junctions".
 
     Returns
     -------
@@ -129,6 +120,7 @@ def kinks(solution: Solution) -> FloatArray:
         free = first + step * np.arange(_EXTRAPOLATED)
         if free.min() < 0 or free.max() >= times.size or active[free, limit].any():
             continue
+        # At the kink, the extrapolated slack is zero.
         time = _zero(times[free], slacks[free, limit])
         # A large slack at the inactive point, or no zero between the two points, means that the
         # variable jumps from or to the limit.
@@ -141,8 +133,7 @@ def kinks(solution: Solution) -> FloatArray:
 def _zero(times: FloatArray, values: FloatArray) -> float:
     """Return the time at which a positive function reaches zero, by inverse extrapolation.
 
-    `values` are samples at the times `times` on one side of the zero, the nearest first. If they do
-    not rise from sample to sample, the result is NaN.
+    The first sample is nearest to the zero. If the values do not rise, the result is NaN.
     """
     if not np.all(np.diff(values) > 0.0):
         return math.nan
@@ -153,23 +144,16 @@ def _zero(times: FloatArray, values: FloatArray) -> float:
 
 
 def _pulls_and_slacks(solution: Solution) -> tuple[FloatArray, FloatArray]:
-    """Return the multipliers and the slacks (distances to the limit) of all limits over time.
+    """Return the multipliers and slacks of all limits over time, shapes (n_points, n_limits).
 
-    The module's docstring gives the order of the limits.
-
-    Returns
-    -------
-    pulls : ndarray, shape (n_points, n_limits)
-        Multiplier of each limit at each collocation point in the scaled program, divided by the
-        quadrature weight of the point. It is 0 where the lower and the upper limit are equal.
-    slacks : ndarray, shape (n_points, n_limits)
-        Slack of each limit at each collocation point, in the scaled program.
+    Both belong to the scaled program. Multipliers are divided by the quadrature weight.
     """
     program, layout = solution.program, solution.program.layout
     bounds, scaling = solution.bounds, solution.scaling
     density = scaling.objective / solution.mesh.quadrature_weights[:, None]
     columns = np.hstack([layout.state_columns[1:], layout.algebraic_columns])
     z, scale = solution.unknowns, scaling.unknowns
+    # The multiplier counts as 0 where the lower and the upper limit are equal.
     held = bounds.lower == bounds.upper
     found = [
         (np.where(held, 0.0, multiplier / scale)[columns], (np.abs(z - limit) * scale)[columns])

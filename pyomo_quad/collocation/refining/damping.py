@@ -1,9 +1,9 @@
 """Damping of controls that enter linearly, towards the smoothed controls of the previous mesh.
 
-If equations and objective depend linearly on a control, the objective hardly depends on its value
-at a single collocation point. Without damping, the control oscillates from point to point
-(chatter), and changes from mesh to mesh. Damping is a penalty on the distance from the smoothed
-control of the previous mesh: see docs/theory/refinement.md, eq. (9).
+If equations and objective depend linearly on a control, its value at a single collocation point
+hardly affects the objective. Without damping, the control oscillates from point to point (chatter),
+and changes from mesh to mesh. Damping is a penalty on the distance from the smoothed control of the
+previous mesh: see docs/theory/refinement.md, eq. (9).
 """
 
 from __future__ import annotations
@@ -34,8 +34,7 @@ class Damping:
     """Penalty on the distance between controls and the smoothed controls of a solution.
 
     A smoothed control consists of straight lines between its means over the elements. If `is_still`
-    is True, it is instead a polynomial of low degree in each element, clipped to the control's
-    limits.
+    is True, it is a polynomial of low degree in each element, clipped to the control's limits.
 
     Attributes
     ----------
@@ -47,13 +46,10 @@ class Damping:
         Factor of the penalty for each control. The penalty is ``factor / 2`` times the mean over
         the horizon of ``(control - smoothed control)**2``.
     gap : float
-        Complementarity gap at which the solve on the next mesh ends, in the unit of the objective.
-        The gap is the sum over all limits of multiplier times distance to the limit. If `gap` is
-        positive, Ipopt stops reducing its barrier parameter when the gap has this size. If `gap` is
-        zero, Ipopt's usual final barrier parameter applies.
+        Complementarity gap at which the solve on the next mesh ends, in the unit of the objective:
+        see `program.ipopt.barrier_gap`. For 0, Ipopt's usual final barrier parameter applies.
     is_still : bool
-        Whether the objective hardly changes from mesh to mesh any more. The smoothed controls are
-        then polynomials in each element, instead of straight lines between means.
+        Whether the objective hardly changes from mesh to mesh any more.
     """
 
     solution: Solution
@@ -66,8 +62,8 @@ class Damping:
     def start_distance(self) -> StartDistance:
         """Expected distance between the warm start and the solution on the next mesh.
 
-        It is `NONE` if `is_still`, else `FAR` if the error of the previous solution is large, else
-        `SHORT`. Ipopt's settings depend on it.
+        It is `NONE` if `is_still` is True, `FAR` if the error of the previous solution is large,
+        and otherwise `SHORT`.
         """
         if self.is_still:
             return StartDistance.NONE
@@ -76,8 +72,8 @@ class Damping:
     def firmer(self, factor: float, gap: float) -> Damping:
         """Return a stronger damping, with penalties multiplied by `factor` and `is_still` set.
 
-        The attribute `gap` of the result is ``max(self.gap, gap * nominal)``, where ``nominal`` is
-        the nominal magnitude of the objective.
+        Its gap is ``max(self.gap, gap * nominal)``, where ``nominal`` is the nominal magnitude of
+        the objective.
         """
         gap = max(gap * self.solution.nominal_objective, self.gap)
         return replace(self, prices=factor * self.prices, gap=gap, is_still=True)
@@ -85,8 +81,7 @@ class Damping:
     def applied_to(self, program: Transcription) -> ExtendedProgram:
         """Return a nonlinear program with the penalty of this damping added to its objective.
 
-        `program` is the nonlinear program of the model on the next mesh, without the penalty. The
-        result has the same unknowns and constraints as `program`.
+        `program` is the nonlinear program of the model on the next mesh.
         """
         mesh = program.mesh or self.solution.mesh
         return ExtendedProgram(
@@ -97,11 +92,7 @@ class Damping:
         )
 
     def _near(self, fractions: FloatArray) -> FloatArray:
-        """Return the smoothed controls of the previous mesh, towards which controls are damped.
-
-        `fractions` are times as fractions of the horizon. The result has shape (n_fractions,
-        n_controls).
-        """
+        """Return the smoothed controls of the previous mesh, shape (n_fractions, n_controls)."""
         mesh, held = self.solution.mesh, self.solution.trajectory.algebraics[:, self.controls]
         if self.is_still:
             lower, upper = (limit[self.controls] for limit in self.solution.algebraic_limits)
@@ -113,22 +104,9 @@ class Damping:
 
 
 def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArray:
-    """Smooth values in each element by a polynomial of about half the element's degree.
+    """Return values smoothed in each element by a least-squares polynomial, at `fractions`.
 
-    The polynomial is fitted to the values by least squares.
-
-    Parameters
-    ----------
-    mesh : Mesh
-    values : ndarray, shape (n_points, k)
-        Values at the collocation points.
-    fractions : ndarray, shape (n,)
-        Times of the result, as fractions of the horizon.
-
-    Returns
-    -------
-    ndarray, shape (n, k)
-        Values of the polynomials at `fractions`.
+    The polynomial has about half the element's degree. `values` has the shape (n_points, k).
     """
     starts, found = np.asarray(mesh.breakpoints), np.empty((fractions.size, values.shape[1]))
     element = np.clip(np.searchsorted(starts, fractions) - 1, 0, mesh.elements - 1)
@@ -146,13 +124,12 @@ def _smoothed(mesh: Mesh, values: FloatArray, fractions: FloatArray) -> FloatArr
 def _element_means(mesh: Mesh, values: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the midpoint of each element, and the means of several functions over each element.
 
-    `values` are the functions at the collocation points, shape (n_points, k). The midpoints are
-    fractions of the horizon, shape (n_elements,). For an element of degree 1, its end replaces the
-    midpoint. The means have shape (n_elements, k).
+    The shapes are (n_elements,) and (n_elements, k). Midpoints are fractions of the horizon.
     """
     weights = mesh.quadrature_weights[:, None]
     columns = np.column_stack([mesh.point_fractions, values, np.ones(mesh.points)])
     sums = np.add.reduceat(weights * columns, mesh.first_node[:-1], axis=0)
+    # For an element of degree 1, whose only point is its end, the end replaces the midpoint.
     means = sums / sums[:, -1:]
     return means[:, 0], means[:, 1:-1]
 
@@ -162,23 +139,21 @@ def damping_of(
 ) -> Damping | None:
     """Return the damping of a solution's controls for the solve on the next mesh.
 
-    A control is damped if it is bounded, and the second derivative of the Lagrangian with respect
-    to it is small at one or more collocation points.
+    A bounded control is damped if the second derivative of the Lagrangian with respect to it is
+    small at some collocation point.
 
     Parameters
     ----------
     solution : Solution
         Solution on the previous mesh.
     weight : float
-        Size of the penalty. It is ``weight * nominal magnitude of the objective`` for a control
-        that always differs from the smoothed control by its whole range.
+        Penalty, divided by the objective's nominal magnitude, of a control that always differs from
+        the smoothed control by its whole range.
     gap : float, optional
-        Complementarity gap at which Ipopt is to stop on the next mesh, as a fraction of the
-        objective; zero for Ipopt's usual end. The gap is the sum over all limits of multiplier
-        times distance to the limit.
+        Complementarity gap at which the next solve ends, relative to the objective: see
+        `program.ipopt.barrier_gap`. For 0, Ipopt's usual final barrier parameter applies.
     is_still : bool, optional
-        Whether the objective hardly changes from mesh to mesh any more. The smoothed controls are
-        then polynomials in each element, instead of straight lines between means over the elements.
+        Whether the objective hardly changes from mesh to mesh any more: see `Damping`.
 
     Returns
     -------
@@ -208,8 +183,8 @@ def damping_of(
 def _least_curvatures(solution: Solution) -> FloatArray:
     """Return the least second derivative of the Lagrangian with respect to each algebraic variable.
 
-    The result has shape (n_algebraics,). It is the minimum over all collocation points, and may be
-    negative. A small second derivative shows that the variable enters nearly linearly.
+    It is the minimum over all collocation points, and may be negative. The shape is
+    (n_algebraics,).
     """
     program = solution.program
     first = 2 * program.layout.n_states

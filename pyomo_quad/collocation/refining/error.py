@@ -1,6 +1,6 @@
-"""Errors of a solution between its collocation points, and the effects of these errors.
+"""Errors of a solution between its collocation points, and their estimated effects.
 
-The effects on the objective and on the final states are estimated. Derivations: see
+The effects are those on the objective and on the final states. Derivations: see
 docs/theory/refinement.md, eqs. (1) to (3).
 """
 
@@ -34,22 +34,21 @@ if TYPE_CHECKING:
 def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
     """Return how much the state errors of each element change the final states.
 
-    The linearised equations propagate each error to the end of the horizon, without feedback by the
-    controls (open loop): see docs/theory/refinement.md, eq. (3).
+    The linearised equations propagate each error to the end of the horizon in open loop, without
+    feedback by the controls: see docs/theory/refinement.md, eq. (3).
 
     Parameters
     ----------
     solution : Solution
-        The solution whose linearised equations propagate the errors to the end.
+        The solution at which the equations are linearised.
     errors : ndarray, shape (n_elements, n_states)
         Errors of the states that arise within each element, at the element's end.
 
     Returns
     -------
     ndarray, shape (n_elements, n_states)
-        Magnitudes of the changes of the final states to first order, relative to max(1, abs(final
-        state)). All entries are zero if the equations do not determine the time derivative of every
-        state.
+        Magnitudes of the changes to first order, relative to max(1, abs(final state)). Zero if the
+        equations do not determine all time derivatives of states.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -66,22 +65,9 @@ def final_misses(solution: Solution, errors: FloatArray) -> FloatArray:
 
 
 def _transition(solution: Solution, equations: Linearised, e: int) -> FloatArray:
-    """Return the state transition matrix of an element, with the controls unchanged.
+    """Return the state transition matrix of the element `e`, with the controls unchanged.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution with the mesh.
-    equations : Linearised
-        Derivatives of the differential equations with respect to rates and states, at the
-        collocation points. Rates are the derivatives of the states.
-    e : int
-        Index of the element.
-
-    Returns
-    -------
-    ndarray, shape (n_states, n_states)
-        Derivatives of the states at the element's end with respect to the states at its start.
+    It has the derivatives of the states at the element's end with respect to those at its start.
     """
     mesh = solution.mesh
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -112,35 +98,31 @@ _START = 1e-6
 class Allowance:
     """Tolerances for a flight with the controls of a solution in open loop.
 
-    In open loop the controls are functions of time, without feedback from the measured states.
+    In open loop, the controls are functions of time, without feedback from the measured states.
 
     Attributes
     ----------
     control_breach : float
         Tolerable violation of a control's bound between the collocation points, relative to max(1,
-        abs(bound)). A control with a larger violation is clipped to the bound widened by this
-        tolerance. The effect of clipping on states and objective counts as error. A control with a
-        smaller violation keeps its values, and the effect of the violation on the states counts as
-        error. A bound that varies with time clips no control.
+        abs(bound)). If it is exceeded, the control is clipped to the bound widened by it, and the
+        effect of clipping counts as error. A smaller violation counts by its effect on the states.
+        A bound that varies with time clips no control.
     limit_breach : float
-        Largest tolerable violation of any other limit, relative to max(1, abs(limit)). If a
-        violation is larger, the violation itself counts as error. If it is smaller, its effect on
-        the objective counts as error.
+        Tolerable violation of any other limit, relative to max(1, abs(limit)). A larger violation
+        counts itself as error. A smaller one counts by its effect on the objective.
     final_miss : float
         Tolerance on the final states, relative to max(1, abs(final state)).
     state_error : float, optional
-        Tolerance on the error of the states between the points, relative to their magnitudes. By
-        default it is the tolerance of the refinement.
-
-        A larger value suffices if a later simulation corrects the controls by feedback. The error
-        of the states then changes the objective only to second order. With a larger value,
-        residuals of algebraic equations may be up to ten times the value, because the simulation
-        solves these equations itself.
+        Tolerance on the states between the points, relative to their magnitudes; by default that of
+        the refinement. A larger value suffices if a simulation with feedback follows. Residuals of
+        algebraic equations may then be ten times the value.
     """
 
     control_breach: float = np.inf
     limit_breach: float = 0.0
     final_miss: float = np.inf
+    # With feedback, errors of the states change the objective only to second order. The simulation
+    # solves the algebraic equations itself.
     state_error: float | None = None
 
 
@@ -150,42 +132,37 @@ class ErrorEstimate:
 
     The tolerance applies to the whole horizon. Errors that add up over n elements are therefore
     extrapolated: ``min(n * error, sum of the errors of all elements)``. See
-    docs/theory/refinement.md, eq. (2).
+    docs/theory/refinement.md, eq. (2). The nominal magnitude of the objective is
+    `Solution.nominal_objective`.
 
     Attributes
     ----------
     states : ndarray, shape (n_elements, n_states)
-        Largest error of each state between the collocation points, relative to the state's
-        magnitude. The magnitude is the larger of the state's largest value and its nominal
-        magnitude (1 unless declared). If the states have a tolerance of their own, the errors are
-        scaled so that they can be compared with the tolerance for all errors.
+        Largest error of each state between the collocation points, relative to `state_sizes`. If
+        `Allowance.state_error` is given, errors are multiplied by tolerance / state_error.
     violation : ndarray, shape (n_elements,)
         Violation of path equations and bounds between the collocation points, relative to max(1,
-        abs(bound)). A violation within its tolerance counts by its estimated effect: see
-        `_breaches`.
+        abs(bound)). If it is within its tolerance, its estimated effect counts: see `_breaches`.
     objective : ndarray, shape (n_elements,)
-        Change of the objective that the state errors cause, computed with the costates.
-        Extrapolated, and relative to the nominal magnitude of the objective
-        (`Solution.nominal_objective`).
+        Effect of the state errors on the objective, computed with the costates. Extrapolated, and
+        relative to the objective's nominal magnitude.
     switches : ndarray, shape (n_elements,)
         Possible cost of control switches at a wrong time inside an element. Extrapolated, and
-        relative to the objective itself, which may be smaller than its nominal magnitude. Computed
-        if all other errors are below the tolerance; otherwise zero.
+        relative to the objective itself. Computed if all errors but `costs` are below the
+        tolerance; otherwise zero.
     costs : ndarray, shape (n_elements,)
-        Twice the attribute `objective`, but relative to the objective itself, as in `switches`. The
-        factor of two allows for the unknown error of the controls. Computed if all other errors are
-        below the tolerance; otherwise zero.
+        Twice the attribute `objective`, but relative to the objective itself. The factor allows for
+        the unknown error of the controls. Computed under the same condition as `switches`.
     restraint : ndarray, shape (n_elements,)
         Cost of the bounds that are imposed between the collocation points. Extrapolated, and
-        relative to the nominal magnitude of the objective. The cost may use up only half of the
-        tolerance. It is therefore doubled, so that it can be compared with the whole tolerance.
+        relative to the objective's nominal magnitude. Doubled, because the cost may use up only
+        half of the tolerance.
     integrals : ndarray, shape (n_elements,)
-        Largest error of the quadrature, over the objective and all integrals. Extrapolated. The
-        error of the objective is relative to its nominal magnitude, and the error of an integral is
-        relative to max(1, abs(integral)).
+        Largest quadrature error of the objective and all integrals. Extrapolated. Relative to the
+        objective's nominal magnitude, or to max(1, abs(integral)).
     miss : ndarray, shape (n_elements,)
-        Effect of the state errors on the final states, which have a tolerance of their own. The
-        effect is scaled so that it can be compared with the tolerance for all errors.
+        Effect of the state errors on the final states, multiplied by tolerance /
+        `Allowance.final_miss`.
     gap : float
         Complementarity gap that the barrier leaves, relative to the objective. A finer mesh does
         not reduce the gap.
@@ -225,8 +202,7 @@ class ErrorEstimate:
     def of_integrals(self) -> float:
         """Largest error of the objective and of the integrals, over all elements.
 
-        It covers the effect of state errors on the objective, the errors of the quadrature, and the
-        cost of the bounds between the collocation points.
+        It covers the attributes `objective`, `restraint` and `integrals`.
         """
         parts = (self.objective, self.restraint, self.integrals)
         return float(max(part.max(initial=0.0) for part in parts))
@@ -235,8 +211,7 @@ class ErrorEstimate:
     def largest(self) -> float:
         """Largest error of the solution, which the refinement compares with the tolerance.
 
-        It is the larger of two numbers: the largest error of any kind in any element, and the
-        relative complementarity gap.
+        It is the larger of the largest error in any element and the relative complementarity gap.
         """
         return max(self.gap, float(self.per_element.max(initial=0.0)))
 
@@ -254,10 +229,8 @@ def estimate_error(
     solution : Solution
         Solution on one mesh, whose errors between the collocation points are estimated.
     tolerance : float, optional
-        Tolerance with which all errors will be compared. The errors of the states have their own
-        tolerances, `state_error` and `final_miss` of `allowance`. They are scaled so that they can
-        be compared with `tolerance`. The costs of misplaced control switches count only if all
-        other errors are below `tolerance`. Coarse elements are thus refined first.
+        Tolerance with which all errors will be compared. Errors with a tolerance of their own in
+        `allowance` are scaled accordingly.
     allowance : Allowance, optional
         Tolerances for flying the controls in open loop.
 
@@ -292,6 +265,7 @@ def estimate_error(
         gap=_gap(solution),
         is_clipped=is_clipped,
     )
+    # Without the costs of misplaced switches, coarse elements are refined first.
     if found.per_element.max(initial=0.0) > tolerance:
         return found
     unit = _unit(solution)
@@ -318,8 +292,7 @@ _LEAST_UNIT = 1e-4
 def _unit(solution: Solution) -> float:
     """Return the magnitude by which errors of the objective are divided to make them relative.
 
-    It is max(abs(objective), min(1, s), 1e-4 s), in the unit of the objective. Here 1 / s is the
-    factor by which the nonlinear program scales the objective.
+    It is max(abs(objective), min(1, s), 1e-4 s), where 1 / s is the objective's scaling factor.
     """
     # The terms min(1, s) and 1e-4 s avoid a division by nearly zero.
     scaled = 1.0 / solution.scaling.objective
@@ -329,8 +302,7 @@ def _unit(solution: Solution) -> float:
 def _gap(solution: Solution) -> float:
     """Return the complementarity gap that Ipopt's barrier leaves, relative to the objective.
 
-    `barrier_gap` defines the gap. If the objective is near zero, a small reference magnitude
-    replaces it.
+    If the objective is near zero, a small reference magnitude replaces it.
     """
     program, z = solution.program, solution.unknowns
     least = min(_unit(solution), _LEAST_SIZE / solution.scaling.objective)
@@ -342,29 +314,16 @@ def _gap(solution: Solution) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class _Samples:
-    """Variables and path equations of a solution at n sample times between collocation points.
+    """Variables and path equations of a solution at sample times, in the order of the elements."""
 
-    The samples are ordered by element.
-
-    Attributes
-    ----------
-    variables : ndarray, shape (n, n_variables)
-        Values of the model's variables at each sample time. The columns are, in this order: rates
-        (derivatives of the states with respect to the fraction of the horizon), states, algebraic
-        variables and static variables.
-    data : ndarray, shape (n, n_data)
-        Other arguments of the path equations at each sample time: the time as a fraction of the
-        horizon, and the values of the model's parameters.
-    rows : ndarray, shape (n, n_expressions)
-        Values of the model's expressions at each sample time. First are the bodies of the path
-        equations and path inequalities, one column each. Then follow the integrands.
-    first_of_element : ndarray of int, shape (n_elements,)
-        Position of the first sample of each element, from 0 to n - 1.
-    """
-
+    # Rates (per fraction of the horizon), states, algebraic and static variables, one row per
+    # sample.
     variables: FloatArray
+    # Fraction of the horizon and parameters, one row per sample.
     data: FloatArray
+    # Bodies of the path equations and path inequalities, then integrands, one row per sample.
     rows: FloatArray
+    # Position of the first sample of each element, from 0.
     first_of_element: NDArray[np.intp]
 
 
@@ -372,39 +331,31 @@ class _Samples:
 def _panelled(degree: int) -> tuple[FloatArray, FloatArray]:
     """Return points and weights of a quadrature rule with four equal panels in the element [0, 1].
 
-    Each panel has a Gauss rule with `degree` + 1 points. The element's right end is the last point,
-    with weight 0.
+    Each panel has a Gauss rule with `degree` + 1 points.
     """
     points, weights = leggauss(degree + 1)
     inner = (np.arange(_PANELS)[:, None] + 0.5 * (1.0 + points)) / _PANELS
     places = np.append(inner.ravel(), 1.0)
+    # The last point is the element's right end, with weight 0.
     return places, np.append(np.tile(0.5 * weights / _PANELS, _PANELS), 0.0)
 
 
 def densely_sampled(solution: Solution) -> _Samples:
     """Evaluate a solution's path constraints at many times between the collocation points.
 
-    The result has the variables and the values of the constraints. An element of a given degree has
-    4 (degree + 1) + 1 samples.
+    An element of degree d has 4 (d + 1) + 1 samples.
     """
     (samples,) = _sampled(solution, _dense_places)
     return samples
 
 
 def _dense_places(degree: int) -> FloatArray:
-    """Return the places at which limits are checked in an element, from just after 0 to 1.
-
-    `degree` is the degree of the element, which extends from 0 to 1.
-    """
+    """Return the places at which limits are checked in the element (0, 1]."""
     return np.linspace(_START, 1.0, _SAMPLES * (degree + 1) + 1)
 
 
 def _finer_places(degree: int) -> FloatArray:
-    """Return the Radau points of degree `degree` + 1 in an element that goes from 0 to 1.
-
-    `degree` is the degree of the element. The states are integrated again with these points to
-    estimate their errors.
-    """
+    """Return the Radau points of degree `degree` + 1 in an element from 0 to 1."""
     return radau_rule(degree + 1).points
 
 
@@ -416,8 +367,8 @@ def _panelled_places(degree: int) -> FloatArray:
 def state_errors_as_interpolated(solution: Solution) -> FloatArray:
     """Return the state errors if algebraic variables are evaluated by their polynomials.
 
-    If an equation defines an algebraic variable, `estimate_error` evaluates the variable by this
-    equation instead. It does not see an error of the polynomial between the collocation points.
+    In contrast, `estimate_error` evaluates an algebraic variable by the equation that defines it.
+    It therefore misses errors of the variable's polynomial between the collocation points.
 
     Returns
     -------
@@ -436,16 +387,8 @@ def _sampled(
 ) -> list[_Samples]:
     """Evaluate the path equations on several grids at once, and return the samples of each grid.
 
-    Parameters
-    ----------
-    solution : Solution
-        Solution whose polynomials and parameters give the arguments of the equations.
-    *grids : callable
-        Degree of an element -> sample times in the element. The times are numbers from 0 (start of
-        the element) to 1 (end); the last time is 1.
-    is_defined : bool, default True
-        Some algebraic variables are defined by an equation. If True, their values are computed from
-        the equation; if False, from the polynomials of the variables.
+    A grid maps the degree of an element to times from 0 to 1 in the element, the last of which is
+    1.
     """
     program, mesh, path = solution.program, solution.mesh, solution.trajectory
     places = [grid(d) for grid in grids for d in mesh.degrees]
@@ -466,6 +409,7 @@ def _sampled(
         ]
     )
     data = solution.problem.data_of(solution.instance, fractions).at_points()
+    # Otherwise, algebraic variables that an equation defines keep the values of their polynomials.
     if is_defined:
         found = definitions(program, solution.unknowns)
         variables = with_defined(program, variables, data, found)
@@ -488,19 +432,10 @@ def _sampled(
 def _clipped(
     program: Transcription, samples: _Samples, limits: tuple[FloatArray, FloatArray]
 ) -> _Samples:
-    """Return samples in which each control outside its limits is set to the limit.
+    """Return samples with the controls clipped to their limits, and equations evaluated anew.
 
-    The path equations are evaluated again with the clipped controls.
-
-    Parameters
-    ----------
-    program : Transcription
-        Nonlinear program with the path equations.
-    samples : _Samples
-        Variables of a solution at many times.
-    limits : (ndarray, ndarray), each of shape (n_algebraics,)
-        Lower and upper limits of the algebraic variables; infinite for a variable that is no
-        control.
+    `limits` are lower and upper limits of the algebraic variables, infinite for those that are no
+    controls.
     """
     layout, variables = program.layout, samples.variables.copy()
     chosen = slice(2 * layout.n_states, 2 * layout.n_states + layout.n_algebraics)
@@ -514,26 +449,13 @@ def _clipped(
 def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArray]:
     """Return the errors of the states in each element, integrated from the errors of the rates.
 
-    Rates are derivatives with respect to the fraction of the horizon. The error is zero at the left
-    end of each element: see docs/theory/refinement.md, eq. (1).
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution whose mesh has the elements.
-    slopes : ndarray, shape (sum of (degree + 1) over the elements, n_states)
-        Errors of the rates, at the Radau points of the next higher degree in each element. If these
-        errors are added to the rates, the rates satisfy the differential equations.
-
-    Returns
-    -------
-    list of ndarray, shape (degree + 1, n_states)
-        For each element, the errors of the states at the Radau points of the next higher degree.
-        The last point is the element's right end.
+    Both belong to the Radau points of the next higher degree: see docs/theory/refinement.md, eq.
+    (1).
     """
     mesh, first, moved = solution.mesh, 0, []
     for e, degree in enumerate(mesh.degrees):
         local = slopes[first : first + degree + 1]
+        # The error is zero at the element's left end. The last point is the right end.
         moved.append(mesh.widths[e] * radau_rule(degree + 1).integration @ local)
         first += degree + 1
     return moved
@@ -542,27 +464,14 @@ def _state_corrections(solution: Solution, slopes: FloatArray) -> list[FloatArra
 def _clipping_corrections(
     solution: Solution, free: _Samples, clipped: _Samples, is_clipped: NDArray[np.bool_]
 ) -> dict[int, FloatArray]:
-    """Return, by element, the change of the states if controls are clipped to their limits.
+    """Return the change of the states at the end of each element in which a control is clipped.
 
-    A simulation clips controls that exceed their limits between the collocation points.
-
-    Parameters
-    ----------
-    solution : Solution
-    free, clipped : _Samples
-        Dense samples of the solution, with the controls as they are and with clipped controls.
-    is_clipped : ndarray of bool, shape (n_elements,)
-        Whether a control is clipped in the element.
-
-    Returns
-    -------
-    dict
-        Index of each element with a clipped control -> change of the states at the element's end,
-        shape (n_states,).
+    `free` and `clipped` are dense samples with the controls before and after clipping.
     """
     if not np.any(is_clipped):
         return {}
     mesh, found = solution.mesh, {}
+    # A simulation clips controls that exceed their limits between the collocation points.
     cut = rate_corrections(
         solution.program, clipped.variables, clipped.data, clipped.rows - free.rows
     )
@@ -577,8 +486,7 @@ def _clipping_corrections(
 def _relative(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the largest error of each state in each element, relative to the state's magnitude.
 
-    `moved` has one array per element from `_state_corrections`: the errors of the states, with one
-    row per Radau point and one column per state. The result has shape (n_elements, n_states).
+    `moved` comes from `_state_corrections`. The shape is (n_elements, n_states).
     """
     return np.array([np.abs(m).max(axis=0) / state_sizes(solution) for m in moved])
 
@@ -596,8 +504,8 @@ def state_sizes(solution: Solution) -> FloatArray:
 def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray:
     """Return the effect of each element's state errors on the objective, shape (n_elements,).
 
-    `moved` comes from `_state_corrections`. The effect is relative to the objective's nominal
-    magnitude, and extrapolated to the whole horizon: see docs/theory/refinement.md, eq. (2).
+    It is relative to the objective's nominal magnitude, and extrapolated: see
+    docs/theory/refinement.md, eq. (2). `moved` comes from `_state_corrections`.
     """
     mesh = solution.mesh
     if not solution.problem.compiled.declared.states:
@@ -608,10 +516,10 @@ def _objective_errors(solution: Solution, moved: list[FloatArray]) -> FloatArray
 
 
 def _restraints(solution: Solution) -> FloatArray:
-    """Return the relative cost of bounds between the collocation points, shape (n_elements,).
+    """Return the cost of bounds between the collocation points, shape (n_elements,).
 
-    The cost is divided by the nominal magnitude of the objective and by `_RESTRAINT_SHARE`, and
-    extrapolated to the whole horizon.
+    It is divided by the nominal magnitude of the objective and by `_RESTRAINT_SHARE`, and
+    extrapolated.
     """
     if solution.restraint is None:
         return np.zeros(solution.mesh.elements)
@@ -619,10 +527,10 @@ def _restraints(solution: Solution) -> FloatArray:
 
 
 def _of_all(shares: FloatArray) -> FloatArray:
-    """Return for each element the error of a horizon whose n elements all had its error.
+    """Return each element's error extrapolated to the whole horizon of n elements.
 
-    The result is ``n * error``, but at most the sum of the errors of all elements. `shares` has the
-    errors, with one entry per element along the first axis.
+    The result is ``min(n * error, sum of the errors of all elements)``: see
+    docs/theory/refinement.md, eq. (2).
     """
     return np.asarray(np.minimum(len(shares) * shares, shares.sum(axis=0)))
 
@@ -630,8 +538,7 @@ def _of_all(shares: FloatArray) -> FloatArray:
 def _quadrature_errors(solution: Solution, samples: _Samples) -> FloatArray:
     """Return the largest relative quadrature error of each element, shape (n_elements,).
 
-    `samples` has the integrands at the points of the finer quadrature rule from `_panelled`. The
-    errors are extrapolated to the whole horizon.
+    The errors are extrapolated to the whole horizon. `samples` belong to the rule of `_panelled`.
     """
     program, mesh = solution.program, solution.mesh
     first = program.compiled.n_equations
@@ -671,24 +578,9 @@ def _integrands(program: Transcription, samples: _Samples) -> FloatArray:
 
 
 def _missed(solution: Solution, moved: list[FloatArray], weight: float) -> FloatArray:
-    """Return the part of the error of the final states that is assigned to each element.
+    """Return the share of each element in the error of the final states, shape (n_elements,).
 
-    Only the final state with the largest relative error counts. The part of an element is ``error *
-    contribution / largest contribution``.
-
-    Parameters
-    ----------
-    solution : Solution
-    moved : list of ndarray, shape (degree + 1, n_states)
-        Errors of the states in each element, from `_state_corrections`. The last row belongs to the
-        element's end.
-    weight : float
-        Factor on the result: the tolerance divided by the allowed error of the final states. It is
-        0 if the allowed error is infinite.
-
-    Returns
-    -------
-    ndarray, shape (n_elements,)
+    It is ``weight * error * contribution / largest contribution`` of the worst final state.
     """
     if weight == 0.0:
         return np.zeros(solution.mesh.elements)
@@ -704,27 +596,8 @@ def _breaches(
 ) -> FloatArray:
     """Return the worst violation of equations and limits in each element, shape (n_elements,).
 
-    The measure of a violation is:
-
-    - for an equation: its relative residual times `weight`;
-    - for a limit on controls alone: the violation times the width of the element;
-    - for any other limit: the violation times the multipliers of the bounds on states, relative to
-      the objective.
-
-    If a limit is violated by more than its tolerance in `allowance`, the violation itself counts.
-
-    Parameters
-    ----------
-    solution : Solution
-    samples : _Samples
-        Variables of `solution` at many times in each element. Controls are clipped to their limits
-        if `control_breach` is finite.
-    allowance : Allowance
-        Tolerances: `control_breach` for limits on controls alone, `limit_breach` for all other
-        limits.
-    weight : float
-        Factor on the relative residuals of equations. It is 1 if `allowance` has no tolerance on
-        the states. Otherwise, it is the smaller, the larger this tolerance is.
+    Equations count by ``weight * residual``, and limits by the estimated effect of a tolerable
+    violation, or else the violation.
     """
     mesh = solution.mesh
     residuals, limits, controls = (
@@ -734,17 +607,14 @@ def _breaches(
     # Violation times width estimates the change of the states within the element.
     most = (1.0 + _ROUNDING) * allowance.control_breach
     moved = np.where(controls > most, controls, controls * mesh.widths)
+    # The sum of multipliers times the violation estimates the effect on the objective.
     earned = limits * _prices(solution) / solution.nominal_objective
     large = np.where(limits > allowance.limit_breach, limits, 0.0)
     return np.maximum.reduce([weight * residuals, large, moved, earned])
 
 
 def _prices(solution: Solution) -> FloatArray:
-    """Return for each element the sum of the multipliers of all bounds on states.
-
-    The sum times the violation of a limit estimates the effect of the violation on the objective.
-    The shape is (n_elements,).
-    """
+    """Return for each element the sum of the multipliers of all bounds on states."""
     program, multipliers = solution.program, solution.multipliers
     columns = program.layout.state_columns[1:]
     on_states = (multipliers.lower[columns] + multipliers.upper[columns]).sum(axis=1)
@@ -754,8 +624,7 @@ def _prices(solution: Solution) -> FloatArray:
 def violations(program: Transcription, samples: _Samples) -> tuple[FloatArray, ...]:
     """Return the worst relative violations of equations and limits at each sample.
 
-    A violation is relative to max(1, abs(bound)). It is zero where an equation or limit is
-    satisfied, and positive elsewhere.
+    A violation is relative to max(1, abs(bound)), and zero where an equation or limit is satisfied.
 
     Parameters
     ----------

@@ -4,10 +4,9 @@ A solution of the nonlinear program is a local minimum. If the Hamiltonian has t
 control, a switch between them may stay where the first mesh put it. Mesh refinement does not reveal
 this error.
 
-On a singular arc, the second derivative of the Hamiltonian with respect to the control is zero. The
-objective then changes only with a high power of a deviation of the states. The states may therefore
-be inaccurate although the objective is accurate. Derivations: see docs/theory/refinement.md, eqs.
-(10) and (11).
+On a singular arc, large deviations of the states hardly change the objective. The states may
+therefore be inaccurate although the objective is accurate. Derivations: see
+docs/theory/refinement.md, eqs. (10) and (11).
 """
 
 from __future__ import annotations
@@ -44,22 +43,21 @@ _KEPT = 1e-9
 
 
 def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
-    """Return a solution with controls that minimise the Hamiltonian, if they gain enough.
+    """Return a solution whose controls have a lower Hamiltonian, if this improves the objective.
 
-    At each collocation point, only one control is changed. States and costates are unchanged. The
-    gain is the decrease of the Hamiltonian, integrated over the horizon. The multipliers of the
-    bounds of changed controls are zero in the result.
+    States and costates are those of `solution`. The expected improvement is the decrease of the
+    Hamiltonian, integrated over the horizon.
 
     Parameters
     ----------
     solution : Solution
     tolerance : float
-        The least gain that counts, relative to `Solution.nominal_objective`.
+        Least improvement that counts, relative to `Solution.nominal_objective`.
 
     Returns
     -------
     Solution or None
-        Initial point for another solve; None if the gain is too small.
+        Initial point for another solve; None if the improvement is too small.
     """
     program, mesh = solution.program, solution.mesh
     variables = program.path_variables(solution.unknowns)
@@ -71,6 +69,7 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
     if hilly.size == 0:
         return None
     now = _hamiltonian(solution, variables)
+    # At each point, the one control changes whose change lowers the Hamiltonian most.
     for k in hilly:
 
         def at(values: FloatArray, place: int = first + k) -> FloatArray:
@@ -104,27 +103,15 @@ def improved_controls(solution: Solution, tolerance: float) -> Solution | None:
 def _valleys(
     at: Callable[[FloatArray], FloatArray], lower: FloatArray, upper: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield trial values of a control at all collocation points, and the Hamiltonian for them.
+    """Yield trial values of a control and the Hamiltonian for them, shape (n_points,) each.
 
-    The first values form a grid between the bounds. A parabola through each local minimum on the
-    grid and its neighbours gives a further value, the lowest point.
-
-    Parameters
-    ----------
-    at : callable
-        Control values, shape (n_points,) -> Hamiltonian, shape (n_points,).
-    lower, upper : ndarray, shape (n_points,)
-        Lower and upper bounds of the control at each point.
-
-    Yields
-    ------
-    (ndarray, ndarray), each of shape (n_points,)
-        One trial value for each point, and the Hamiltonian at each point with this value.
+    `at` maps control values to the Hamiltonian; both have one item for each collocation point.
     """
     step = (upper - lower) / (_TRIED - 1)
     tried = [lower + k * step for k in range(_TRIED)]
     heights = [at(values) for values in tried]
     yield from zip(tried, heights, strict=True)
+    # The lowest point of a parabola through each local minimum on the grid and its neighbours.
     for k in range(1, _TRIED - 1):
         before, here, after = heights[k - 1 : k + 2]
         is_low = (here <= before) & (here <= after) & (before + after > 2.0 * here)
@@ -139,20 +126,7 @@ def _valleys(
 def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) -> NDArray[np.intp]:
     """Return the free controls for which the Hamiltonian may have several local minima.
 
-    A free control is a bounded algebraic variable that appears in no algebraic equation, so that it
-    can be changed alone.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution whose states and multipliers give the Hamiltonian.
-    lower, upper : ndarray, shape (n_points, n_algebraics)
-        Bounds of the algebraic variables at each collocation point.
-
-    Returns
-    -------
-    ndarray of int
-        Positions of the controls among the algebraic variables.
+    The result has indices of algebraic variables. For free controls, see `_free_controls`.
     """
     program = solution.program
     free = _free_controls(program, lower, upper)
@@ -180,10 +154,9 @@ def _hilly_controls(solution: Solution, lower: FloatArray, upper: FloatArray) ->
 def _free_controls(
     program: Transcription, lower: FloatArray, upper: FloatArray
 ) -> NDArray[np.intp]:
-    """Return the positions of bounded algebraic variables that appear in no algebraic equation.
+    """Return the indices of bounded algebraic variables that appear in no algebraic equation.
 
-    Such a variable can be changed without a change of other algebraic variables. `lower` and
-    `upper` are the bounds of the algebraic variables, shape (n_points, n_algebraics).
+    Each of them can be changed alone. The bounds have shape (n_points, n_algebraics).
     """
     compiled, n = program.compiled, program.layout.n_states
     path = compiled.path
@@ -199,9 +172,9 @@ def _free_controls(
 def _hamiltonian(solution: Solution, variables: FloatArray) -> FloatArray:
     """Return the Hamiltonian at the collocation points, up to a constant that no control changes.
 
-    It is infinite where a path inequality is violated or the Hamiltonian is undefined. `variables`
-    holds rates, states, algebraic and static variables, one row per point.
+    It is infinite where a path inequality is violated or the Hamiltonian is undefined.
     """
+    # `variables` has one row per point: rates, states, algebraic and static variables.
     program = solution.program
     compiled, count = program.compiled, len(variables)
     data = program.data.at_points()
@@ -242,13 +215,11 @@ def state_error(
     The estimate is the largest of these numbers:
 
     - the largest estimated error of the solution;
-    - the errors of a state, added over all elements and doubled;
-    - if there is a singular arc: the state error of docs/theory/refinement.md, eq. (11), where
-      delta is the larger of `change` and the largest estimated error;
-    - if `before` is given: the largest relative violation of a limit on states or rates between the
-      collocation points, and the effect of controls that jump at a wrong time;
-    - if `before` is given and there is no singular arc: the change of the states since the previous
-      mesh.
+    - twice the sum of a state's errors over all elements;
+    - if there is a singular arc: the state error of docs/theory/refinement.md, eq. (11);
+    - if `before` is given: the violation of limits on states or rates between the points;
+    - if `before` is given: the change of the states since the previous mesh, and their change if a
+      control jumps at another time inside its element.
 
     Parameters
     ----------
@@ -270,6 +241,7 @@ def state_error(
     moving = np.maximum(error.states, state_errors_as_interpolated(solution))
     own = max(error.largest, _UNSEEN * float(moving.sum(axis=0).max(initial=0.0)))
     order = singular_order(solution)
+    # In eq. (11), delta is the larger of `change` and the largest estimated error.
     if order:
         factor, root = _FELT[order]
         own = max(own, factor * max(error.largest, change) ** root)
@@ -289,6 +261,7 @@ def state_error(
         sides = np.clip([starts[e] - widths[e], starts[e] + 2.0 * widths[e]], 0.0, 1.0)
         bent = np.maximum(bent, widths[e] / 4.0 * np.abs(np.diff(path.rates_at(sides), axis=0)))
     _, limits, _ = violations(solution.program, densely_sampled(solution))
+    # On a singular arc, the change of the states since the previous mesh is not counted.
     found = np.vstack([bent] if order else [moved, bent]) / state_sizes(solution)
     return max(own, float(limits.max(initial=0.0)), float(found.max(initial=0.0)))
 
@@ -296,10 +269,7 @@ def state_error(
 def singular_order(solution: Solution) -> int:
     """Return the order of a singular arc: 0 without singular arc, 1, or 2 for order 2 and higher.
 
-    On a singular arc, a control lies between its limits. A change of the control also changes
-    rates. Along this joint change, the second derivative of the Hamiltonian is zero. The changed
-    rates move the states. At order 1, a second derivative along this motion of the states is not
-    zero (Robbins 1967; Kelley, Kopp and Moyer 1967).
+    Sources: Robbins (1967); Kelley, Kopp and Moyer (1967).
     """
     program, n = solution.program, solution.program.layout.n_states
     held = solution.trajectory.algebraics
@@ -313,6 +283,8 @@ def singular_order(solution: Solution) -> int:
     controls = slice(2 * n, 2 * n + held.shape[1])
     own = program.path_curvatures(solution.unknowns, multipliers)[:, controls] + barriers
     is_candidate = np.any(np.abs(own) * scale[n:] ** 2 < threshold, axis=1)
+    # On a singular arc, a control lies between its limits, and the second derivative of the
+    # Hamiltonian with respect to the control is zero.
     points = np.flatnonzero(is_candidate & _is_between(solution))
     # The states are held constant. Rates and other algebraic variables change with the control, so
     # that all equations stay satisfied.
@@ -333,6 +305,7 @@ def singular_order(solution: Solution) -> int:
     pushed = flat[:, :n]
     in_states = np.einsum("ki,kij,kj->k", pushed, hessians[:, n : 2 * n, n : 2 * n], pushed)
     mixed = np.einsum("ki,kij,kj->k", flat, hessians[:, chosen, n : 2 * n], pushed)
+    # At order 1, a second derivative in the direction of this motion is not zero.
     felt = np.median((np.abs(in_states) + np.abs(mixed))[is_flat])
     return 1 if felt > threshold else 2
 
@@ -340,8 +313,7 @@ def singular_order(solution: Solution) -> int:
 def _barriers(solution: Solution) -> FloatArray:
     """Return second derivatives of Ipopt's barrier function, shape (n_points, n_algebraics).
 
-    They are derivatives with respect to the algebraic variables at the collocation points, divided
-    by the quadrature weight of the point.
+    They are taken with respect to the algebraic variables, per unit of quadrature weight.
     """
     z, multipliers, bounds = solution.unknowns, solution.multipliers, solution.bounds
     lower = multipliers.lower / np.maximum(z - bounds.lower, _LEAST_SLACK)
@@ -351,10 +323,9 @@ def _barriers(solution: Solution) -> FloatArray:
 
 
 def _is_between(solution: Solution) -> NDArray[np.bool_]:
-    """Return whether a control may be singular at each collocation point, shape (n_points,).
+    """Return where no path inequality and no bound of a state is active, shape (n_points,).
 
-    No path inequality and no bound of a state is active there, and the element has more than one
-    collocation point.
+    A control can be singular only there. Elements with a single point are excluded.
     """
     layout = solution.program.layout
     states, algebraics = layout.n_states, layout.n_algebraics
@@ -371,23 +342,7 @@ def _free_directions(
 ) -> FloatArray:
     """Return a basis of the changes of rates and controls that keep all equations satisfied.
 
-    The states are held constant. Rates are derivatives with respect to the fraction of the horizon.
-
-    Parameters
-    ----------
-    program : Transcription
-    z : ndarray, shape (n_unknowns,)
-        Unknowns of the program at the solution, where the equations are linearised.
-    points : ndarray of int, shape (n_points,)
-        Indices of the collocation points to examine.
-    scale : ndarray, shape (n_rates + n_algebraics,)
-        Magnitudes of the rates and of the algebraic variables.
-
-    Returns
-    -------
-    ndarray, shape (n_points, n_free, n_rates + n_algebraics)
-        For each point, the n_free vectors of an orthonormal basis. Each component is the change of
-        a rate or algebraic variable divided by its magnitude in `scale`.
+    The states do not change. The result has shape (n_points, n_free, n_rates + n_algebraics).
     """
     n, rows = program.layout.n_states, np.flatnonzero(program.compiled.is_equality)
     chosen = np.r_[0:n, 2 * n : 2 * n + program.layout.n_algebraics]
@@ -395,5 +350,6 @@ def _free_directions(
     slopes = program.path_slopes(variables, data, rows, chosen)
     # To first order, the changes that keep the equations satisfied are the null space of their
     # Jacobian.
+    # Each basis is orthonormal in changes divided by `scale`, the magnitudes of the variables.
     directions = np.linalg.svd(slopes * scale).Vh
     return np.asarray(directions[:, rows.size :])

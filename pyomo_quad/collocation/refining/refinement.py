@@ -5,10 +5,9 @@ Terms in this module (see docs/theory/refinement.md):
 - Damping: penalty on the distance between the controls and the smoothed controls of the previous
   mesh. Only controls that enter linearly are damped.
 - Complementarity gap: error that Ipopt's barrier leaves in the objective, eq. (16).
-- Settled objective: its relative change since the previous mesh, or since an earlier mesh that met
-  the tolerance, is at most half the tolerance.
-- Restart: the refinement begins again from other controls, which are better by Pontryagin's
-  principle.
+- Settled objective: an objective that changed by at most half the tolerance since the previous
+  mesh, or since an earlier mesh that met the tolerance.
+- Restart: new start of the refinement from controls that are better by Pontryagin's principle.
 """
 
 from __future__ import annotations
@@ -80,18 +79,15 @@ def refine(
 ) -> S:
     """Solve on finer and finer meshes until the error estimate meets the tolerance.
 
-    The objective must also have settled if limits become active or inactive inside an element, or
-    if controls are damped. This is not required if a later simulation corrects the controls by
-    feedback.
+    If limits become active or inactive inside an element, or if controls are damped, the objective
+    must also have settled. The docstring of this module defines these terms.
 
     Parameters
     ----------
     solve : callable
-        (meshes, start, dampings, change=, iteration_limit=) -> solution. `meshes` has one mesh for
-        each horizon. `dampings` has the penalty on the controls for each horizon, None for a
-        horizon without penalty. `start` is the guess or warm start. `change` is the expected change
-        of the objective, None if unknown. `iteration_limit` is the largest number of Ipopt's
-        iterations.
+        (meshes, start, dampings, change=, iteration_limit=) -> solution. `dampings` are penalties
+        on the controls for each horizon, None without penalty. `change` is the expected change of
+        the objective.
     meshes : tuple of Mesh
         Initial meshes, one for each horizon.
     tolerance : float
@@ -100,18 +96,16 @@ def refine(
     start : Start
         Guess or warm start of the first solve.
     past_the_barrier : callable, optional
-        (dampings, solution) -> solution on the same meshes with a smaller complementarity gap. The
-        gap is the error that Ipopt's barrier leaves in the objective. `dampings` is as for `solve`.
+        (dampings, solution) -> solution on the same meshes, in which Ipopt's barrier leaves a
+        smaller error of the objective.
 
     Returns
     -------
     Solution or JointSolution
-        Usually the last solution. If there is one horizon and Pontryagin's principle shows better
-        controls, the refinement starts again from these controls. If this restart leads to no
-        better solution, the solution from before the restart is returned. The status is
-        `converged`, `tolerance_not_met`, or the status of the last solve if that failed or was
-        interrupted. For `tolerance_not_met`, the message gives the reason.
+        Usually the last solution. Its status is `converged`, `tolerance_not_met`, or that of a last
+        solve that failed or was interrupted.
     """
+    # If a later simulation corrects the controls by feedback, the objective need not have settled.
     going = _Refinement(
         solve, meshes, tolerance, refinement, start, past_the_barrier, before=(None,) * len(meshes)
     )
@@ -120,6 +114,7 @@ def refine(
         ended = going.continue_from(known)
     while ended is None:
         ended = going.with_next_meshes()
+    # After a restart that led to no better solution, this is the solution from before the restart.
     return ended
 
 
@@ -127,41 +122,7 @@ def refine(
 class _Refinement(Generic[S]):
     """Mesh refinement in progress: the next meshes with their start, and the previous results.
 
-    The function `refine` creates an object of this class, and calls `with_next_meshes` until the
-    refinement ends.
-
-    Attributes
-    ----------
-    solve : callable
-        Argument `solve` of the function `refine`: it solves on given meshes.
-    sharpen : callable, optional
-        Argument `past_the_barrier` of the function `refine`.
-    meshes : tuple of Mesh
-        The next meshes, one for each horizon.
-    tolerance : float
-        Required relative error.
-    options : RefinementOptions
-    start : Start
-        Start of the next solve.
-    before : tuple
-        The previous solution on each horizon; None before the first solve and after a restart.
-    records : list of MeshRecord
-        One record per mesh.
-    tried : list of str
-        Name and status of each solution strategy that was tried; a restart has only its name.
-    dampings : tuple
-        Damping of the controls for each horizon; None for a horizon without damping.
-    firmness : float
-        Factor on the strength of the damping.
-    settled : int
-        Number of meshes with damping on which the objective was settled.
-    restarts : int
-        Number of restarts.
-    reached : _Reached, optional
-        The solution that met the tolerance before the most recent restart; None before the first
-        restart.
-    gap : float
-        Relative complementarity gap at which a solve with increased damping may stop.
+    Tuples have one item for each horizon.
     """
 
     solve: Callable[..., S]
@@ -169,17 +130,24 @@ class _Refinement(Generic[S]):
     tolerance: float
     options: RefinementOptions
     start: Start
+    # Argument `past_the_barrier` of the function `refine`.
     sharpen: Callable[[tuple[Damping | None, ...], S], S] | None
+    # Previous solutions; None before the first solve and after a restart.
     before: tuple[Solution | None, ...]
     records: list[MeshRecord] = field(default_factory=list)
+    # Name and status of each solution strategy that was tried; only the name of a restart.
     tried: list[str] = field(default_factory=list)
     dampings: tuple[Damping | None, ...] = ()
+    # Factor on the strength of the damping.
     firmness: float = 1.0
+    # Number of meshes with damping on which the objective was settled.
     settled: int = 0
     restarts: int = 0
+    # The solution that met the tolerance before the most recent restart.
     reached: _Reached[S] | None = None
 
     def __post_init__(self) -> None:
+        # Relative complementarity gap at which a solve with increased damping may stop.
         self.gap = min(_GAP * self.tolerance, _LARGEST_GAP)
         self.dampings = (None,) * len(self.meshes)
 
@@ -198,10 +166,10 @@ class _Refinement(Generic[S]):
         return self._advanced(solution, errors)
 
     def continue_from(self, known: S) -> S | None:
-        """Choose the next meshes after a solution that is known already, without a new solve.
+        """Choose the next meshes after a known solution, without a new solve.
 
-        `known` is a converged solution on the first meshes. The result is the final solution if the
-        refinement ends, and None if it continues.
+        `known` has converged on the first meshes. The result is the final solution, or None if the
+        refinement continues.
         """
         errors = self._errors(known)
         # Ipopt converged, even if an earlier refinement ended above its tolerance.
@@ -211,8 +179,7 @@ class _Refinement(Generic[S]):
     def _advanced(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S | None:
         """Choose the next meshes after a converged solution, or return the final solution.
 
-        The result is None if the refinement continues. `solution` is the converged solution on the
-        present meshes. `errors` has its estimated errors, one item for each horizon.
+        The result is None if the refinement continues.
         """
         error, is_damped = max(e.largest for e in errors), _are_damped(self.dampings)
         if self.reached is not None:
@@ -234,14 +201,8 @@ class _Refinement(Generic[S]):
     def _solved(self) -> tuple[S, tuple[ErrorEstimate, ...], bool]:
         """Solve on the next meshes, and estimate the errors.
 
-        Returns
-        -------
-        Solution or JointSolution
-            The solution, converged or not.
-        tuple of ErrorEstimate
-            One for each horizon.
-        bool
-            Whether the solve failed; False for a solve that was interrupted.
+        The last item of the result states whether the solve failed. An interrupted solve has not
+        failed.
         """
         change = self._expected_change()
         search = _MeshSolve(self.solve, self.meshes, self.start, self.dampings, change, self.gap)
@@ -253,11 +214,9 @@ class _Refinement(Generic[S]):
         return solution, errors, solved.status.has_failed
 
     def _recorded(self, solved: S, errors: tuple[ErrorEstimate, ...], **more: Any) -> S:
-        """Add a solution to the history of the refinement, and pass it to the caller's callback.
+        """Add a solution to the history, and pass it to the caller's callback.
 
-        The result is a copy with the largest error of `errors` and the history. Each argument in
-        `more` is set as an attribute of the copy. If the callback returns False, the status of the
-        copy is interrupted.
+        The result is a copy with error and history. The items of `more` become its attributes.
         """
         error = max(e.largest for e in errors)
         self.records.append(_record(solved, error))
@@ -268,16 +227,14 @@ class _Refinement(Generic[S]):
     def _restarted(self, accepted: S) -> S | None:
         """Restart the refinement if Pontryagin's principle shows better controls than `accepted`.
 
-        The result is None if the refinement was restarted. Otherwise it is the final solution:
-        either `accepted`, which meets the tolerance, or the solution kept at the previous restart
-        if that is better. `_doubted` marks the result if no further restart is allowed. With
-        several horizons, there is no restart.
+        The result is None after a restart, and the final solution otherwise.
         """
         # A further restart requires that the previous one improved the objective by more than the
         # tolerance. The rule makes the restarts end. Singular controls need it: their Hamiltonian
         # is so flat that rounding errors can make other controls appear better.
         if self.reached is not None and self.reached.gain(accepted) <= self.tolerance:
             return self.reached.better(accepted)
+        # The principle is applied to a single horizon only.
         parts = accepted.parts
         better = improved_controls(parts[0], self.tolerance) if len(parts) == 1 else None
         if better is None or self.restarts == MOST_RESTARTS:
@@ -299,24 +256,13 @@ class _Refinement(Generic[S]):
         *,
         is_damped: bool,
     ) -> None:
-        """Prepare the next solve after a solution that is not accurate enough.
+        """Prepare the next solve, after a solution that is not accurate enough.
 
-        The damping is increased if the present solve had damping and took many iterations. It is
-        also increased if the objective was settled on several meshes with damping.
-
-        Parameters
-        ----------
-        solution : Solution or JointSolution
-            Solution on the present meshes, from which the next solve starts.
-        errors : tuple of ErrorEstimate
-            Estimated errors of `solution`, one for each horizon. With the option `limits_move`,
-            they determine the complementarity gap at which the next solve may stop.
-        finer : tuple of Mesh
-            The next meshes, one for each horizon.
-        is_damped : bool
-            Whether controls were damped on the present meshes.
+        `finer` are the next meshes, one for each horizon. `is_damped` states whether the present
+        solve damped controls.
         """
         self.settled += is_damped and self._has_settled(solution)
+        # Controls count as stalled if the objective has been settled on several damped meshes.
         is_stalled = self.settled >= _MANY_SETTLED
         if is_damped and (is_stalled or self.records[-1].iterations > _MANY_ITERATIONS):
             self.firmness = _firmer(self.firmness, self.settled)
@@ -329,26 +275,16 @@ class _Refinement(Generic[S]):
     def _begin_at(
         self, warm: Any, meshes: tuple[Mesh, ...], before: tuple[Solution | None, ...]
     ) -> None:
-        """Set warm start, meshes and previous solutions for the next solve of the refinement.
+        """Set warm start, meshes and previous solutions for the next solve.
 
-        Parameters
-        ----------
-        warm : attribute `warm_start` of a solution
-            Trajectory and multipliers from which the next solve begins.
-        meshes : tuple of Mesh
-            The next meshes, one for each horizon.
-        before : tuple of Solution or None
-            The previous solution on each horizon; None where there is none.
+        `warm` is the attribute `warm_start` of a solution.
         """
         self.start, self.meshes, self.before = replace(self.start, warm=warm), meshes, before
 
     def _damped(self, parts: tuple[Solution, ...], **how: Any) -> tuple[Damping | None, ...]:
-        """Return for each horizon the damping of the controls towards the solution in `parts`.
+        """Return the damping of the controls towards the solution in `parts`, for each horizon.
 
-        `how` has optional arguments of the function `damping_of`:
-
-        - `gap`: complementarity gap at which the next solve may stop.
-        - `is_still`: True if the objective is settled.
+        `how` has optional arguments of the function `damping_of`.
         """
         weight = self.firmness * self.options.damping * self.tolerance
         return tuple(damping_of(part, weight, **how) for part in parts)
@@ -356,8 +292,7 @@ class _Refinement(Generic[S]):
     def _measured(self, solved: S) -> tuple[S, tuple[ErrorEstimate, ...]]:
         """Estimate the errors of a solution, and reduce its complementarity gap if necessary.
 
-        If the gap of `solved`, not the mesh, limits the accuracy, the solve is continued. The
-        result is the last solution, with its errors on each horizon.
+        The result is the last solution, with its errors on each horizon.
         """
         errors = self._errors(solved)
         # A solve with damping may stop at a large gap on purpose: later solves on finer meshes
@@ -370,20 +305,16 @@ class _Refinement(Generic[S]):
         return solved, errors
 
     def _errors(self, solution: Outcome) -> tuple[ErrorEstimate, ...]:
-        """Return the error estimate of a solution on each horizon.
-
-        If there are several horizons, the complementarity gap is set to 0 in each estimate.
-        """
+        """Return the error estimate of a solution on each horizon."""
         how: dict[str, Any] = {"tolerance": self.tolerance, "allowance": self.options.allowance}
         errors = tuple(estimate_error(part, **how) for part in solution.parts)
         # The gap of a joint solve cannot be attributed to a single horizon.
         return errors if len(errors) == 1 else tuple(replace(e, gap=0.0) for e in errors)
 
     def _with_state_error(self, solution: S, errors: tuple[ErrorEstimate, ...]) -> S:
-        """Return a copy of a solution with its attribute `state_error` set.
+        """Return a copy with the estimated distance of the states from the optimal states.
 
-        The state error is the estimated distance of the states from the optimal states, relative to
-        their magnitudes. The largest of all horizons counts.
+        The attribute `state_error` of the copy has the largest distance of all horizons.
         """
         change = _objective_change(solution.parts[0], self.tolerance)
         change = change if np.isfinite(change) else 0.0
@@ -397,30 +328,15 @@ class _Refinement(Generic[S]):
     def _next_meshes(
         self, solution: Outcome, errors: tuple[ErrorEstimate, ...], *, is_damped: bool
     ) -> tuple[Mesh, ...] | None:
-        """Return the next meshes, one for each horizon, or None if the refinement may end.
-
-        The refinement may end if all errors meet the tolerance, and one of these conditions holds:
-
-        - The objective has settled.
-        - No limit becomes active or inactive in or beside an element, and no controls are damped.
-        - A later simulation corrects the controls by feedback.
-        - The next meshes equal the present meshes, and no controls are damped.
-
-        Parameters
-        ----------
-        solution : Solution or JointSolution
-            Solution on the present meshes.
-        errors : tuple of ErrorEstimate
-            Estimated errors of `solution`, one for each horizon.
-        is_damped : bool
-            Whether controls were damped on the present meshes.
-        """
+        """Return the next meshes, one for each horizon, or None if the refinement may end."""
         parts = solution.parts
         junctions = [junction_elements(part) for part in parts]
         is_met = all(error.largest <= self.tolerance for error in errors)
         has_settled = self._has_settled(solution)
         # A simulation that corrects the controls shows what the junctions between the points cost.
         is_simulated = self.options.allowance.state_error is not None
+        # The objective must settle if limits become active or inactive in elements, or controls are
+        # damped.
         must_settle = not is_simulated and (any(junctions) or is_damped)
         if is_met and (has_settled or not must_settle):
             return None
@@ -435,20 +351,17 @@ class _Refinement(Generic[S]):
             )
             finer.append(refined_mesh(part, error, marks, self.tolerance, self.options))
         is_same = tuple(finer) == _meshes(solution)
+        # Another solve on the same meshes is useful only with damping.
         return None if is_same and is_met and not is_damped else tuple(finer)
 
     def _has_settled(self, solution: Outcome) -> bool:
-        """Return whether the objective has settled, by the change from `_objective_change`.
-
-        `solution` is the solution on the present mesh, and holds the history of the objective.
-        """
+        """Return whether the objective has settled, as the docstring of this module defines it."""
         return _objective_change(solution.parts[0], self.tolerance) <= _SETTLED * self.tolerance
 
     def _given_up(self, solution: S, error: float) -> S:
         """Return a solution whose status and message state that the tolerance was not met.
 
-        `error` is the estimated error of `solution`. The message says why the refinement stops, and
-        advises the user.
+        The message gives the reason, and advice for the user. `error` is the estimated error.
         """
         records = self.records
         why = "allow more meshes, elements or a higher degree, or ask for less."
@@ -467,8 +380,7 @@ class _Refinement(Generic[S]):
     def _shown(self, solution: S) -> S:
         """Pass a converged solution to the caller's callback `on_mesh`, and return the solution.
 
-        If the callback returns False, the returned solution has the status interrupted. The
-        callback is called for converged solutions only.
+        If the callback returns False, the status of the result is interrupted.
         """
         is_finished = solution.status is Status.CONVERGED
         if is_finished and self.options.on_mesh and self.options.on_mesh(solution) is False:
@@ -476,10 +388,9 @@ class _Refinement(Generic[S]):
         return solution
 
     def _expected_change(self) -> float | None:
-        """Return the expected change of the objective from the present meshes to the next ones.
+        """Return the expected change of the objective to the next meshes: the previous change.
 
-        It is the previous change (see `_objective_change`), in the unit of the objective. It is
-        None on the first two meshes and directly after a restart.
+        It is in the unit of the objective, and None on the first two meshes and after a restart.
         """
         last = self.before[0]
         if last is None:
@@ -490,9 +401,7 @@ class _Refinement(Generic[S]):
     def _gap_to_leave(self, solution: Outcome, errors: tuple[ErrorEstimate, ...]) -> float:
         """Return the relative complementarity gap at which the next solve may stop.
 
-        The result is 0.3 e, limited to the range from 0.2 tolerance to 1e-3. The error e is the
-        largest relative error of objective and integrals in `errors`. If bounds are imposed between
-        the points, e is at least the last relative change of the objective.
+        It is 0.3 times the error of the objective, between 0.2 times the tolerance and 1e-3.
         """
         unknown = max(e.of_integrals for e in errors)
         if any(part.restraint is not None for part in solution.parts):
@@ -504,10 +413,9 @@ class _Refinement(Generic[S]):
 
 
 def _firmer(firmness: float, settled: int) -> float:
-    """Return the increased factor on the strength of the damping.
+    """Return the increased strength of the damping, max(firmness, min(5 firmness, most)).
 
-    The result is max(firmness, min(5 firmness, most)). The upper limit `most` is 25 for 0 to 3
-    settled meshes, 125 for 4 to 7, and infinite for 8 or more.
+    `most` is 25 for 0 to 3 settled meshes, 125 for 4 to 7, and infinite for 8 or more.
     """
     most = _FIRMEST if settled >= _MANY_SETTLED else _FIRM
     most = math.inf if settled >= _TOO_MANY_SETTLED else most
@@ -516,44 +424,23 @@ def _firmer(firmness: float, settled: int) -> float:
 
 @dataclass
 class _MeshSolve(Search[S], Generic[S]):
-    """Search for the solution on the next meshes of a refinement.
+    """Search for the solution on the next meshes, by the strategies with the scope `Scope.MESH`.
 
-    The search tries the strategies with the scope `Scope.MESH` of the table `STRATEGIES` in turn. A
-    strategy defines the initial point, a limit on Ipopt's iterations, and whether damping is
-    increased.
-
-    Attributes
-    ----------
-    solve : callable
-        Function that solves on given meshes: (meshes, start, dampings, change=, iteration_limit=)
-        -> solution. The first four arguments are explained below. The argument `iteration_limit` is
-        the largest number of Ipopt's iterations.
-    meshes : tuple of Mesh
-        The next meshes, one for each horizon.
-    start : Start
-        Warm start from the previous meshes, with the caller's guess.
-    dampings : tuple
-        Damping of the controls for each horizon; None for a horizon without damping.
-    change : float or None
-        Expected change of the objective from the previous meshes to the next; None if the change is
-        unknown.
-    gap : float
-        Relative complementarity gap at which a solve with increased damping may stop.
+    Tuples have one item for each horizon.
     """
 
     solve: Callable[..., S]
     meshes: tuple[Mesh, ...]
+    # Warm start from the previous meshes, with the caller's guess.
     start: Start
     dampings: tuple[Damping | None, ...]
+    # Expected change of the objective from the previous meshes to the next; None if unknown.
     change: float | None
+    # Relative complementarity gap at which a solve with increased damping may stop.
     gap: float
 
     def holds(self, fact: Fact) -> bool:
-        """Return whether a condition that a strategy requires is true at this stage of the search.
-
-        `Fact.KEPT_NEAR` means that the next solution is expected near the previous one; `Fact.FREE`
-        is the contrary.
-        """
+        """Return whether a condition that a strategy requires is true at present."""
         # Damping keeps the controls near the previous ones. With a known change of the objective,
         # Ipopt starts with a small barrier parameter.
         is_kept_near = self.change is not None or _are_damped(self.dampings)
@@ -565,21 +452,9 @@ class _MeshSolve(Search[S], Generic[S]):
         }[fact]
 
     def attempt(self, strategy: Strategy) -> S:
-        """Solve on the meshes of this object with one solution strategy, and return the result.
+        """Solve on the next meshes with one strategy, and return the result, converged or not.
 
-        A strategy that increases the damping changes the attribute `dampings`, and sets `change` to
-        None.
-
-        Parameters
-        ----------
-        strategy : Strategy
-            Initial point of the solve, largest number of Ipopt's iterations, and whether the
-            damping of the controls is increased.
-
-        Returns
-        -------
-        Solution or JointSolution
-            The solution, converged or not.
+        If the strategy increases the damping, the attributes `dampings` and `change` are updated.
         """
         if strategy.is_firm:
             self.dampings = tuple(d and d.firmer(_FIRM, self.gap) for d in self.dampings)
@@ -591,9 +466,9 @@ class _MeshSolve(Search[S], Generic[S]):
 
 
 def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Damping | None, ...]:
-    """Return dampings with a smaller complementarity gap, for a more accurate solve.
+    """Return dampings whose gap is at most 0.2 times `tolerance` times the nominal objective.
 
-    Each gap of the result is at most 0.2 times `tolerance` times the nominal objective.
+    With this smaller complementarity gap, the next solve is more accurate.
     """
     least = _LEAST_INEXACT * tolerance
     return tuple(
@@ -602,42 +477,24 @@ def _sharper(dampings: tuple[Damping | None, ...], tolerance: float) -> tuple[Da
 
 
 def _are_damped(dampings: tuple[Damping | None, ...]) -> bool:
-    """Return whether any controls are damped, that is penalised for changes from the previous mesh.
-
-    `dampings` has one item for each horizon, None for a horizon without damping.
-    """
+    """Return whether any controls are damped (penalised for changes from the previous mesh)."""
     return any(damping is not None and damping.controls.size > 0 for damping in dampings)
 
 
 def _is_limited_by_the_barrier(
     solution: Outcome, errors: tuple[ErrorEstimate, ...], tolerance: float, fine: float
 ) -> bool:
-    """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a solution.
+    """Return whether Ipopt's barrier, not the mesh, limits the accuracy of a converged solution.
 
-    The result is true if all of these conditions hold:
-
-    - The solution has converged.
-    - The error of every element is at most `fine`. The errors `switches` and `costs` of the
-      estimate are not counted.
-    - The relative complementarity gap exceeds `tolerance`, or the scaled objective is too small to
-      influence Ipopt's convergence test.
-
-    Parameters
-    ----------
-    solution : Outcome
-        Solution with a single horizon.
-    errors : tuple of ErrorEstimate
-        The error estimate of `solution`, a single item.
-    tolerance : float
-        Required relative error.
-    fine : float
-        Upper limit on the errors of the elements.
+    The errors of all elements must be at most `fine`.
     """
     (part,), (error,) = solution.parts, errors
     # `switches` and `costs` are estimated only if all other errors meet the tolerance.
     counted = replace(error, switches=0.0 * error.switches, costs=0.0 * error.costs)
     is_fine = counted.per_element.max(initial=0.0) <= fine
     size = part.program.objective_size(part.unknowns) * part.scaling.objective
+    # If the scaled objective is small, Ipopt's convergence test does not show errors of the
+    # objective.
     is_hidden = size < SEEN and part.problem.compiled.declared.objective_name != ""
     is_solved = solution.status is Status.CONVERGED
     return is_solved and is_fine and (error.gap > tolerance or is_hidden)
@@ -645,33 +502,22 @@ def _is_limited_by_the_barrier(
 
 @dataclass
 class _Reached(Generic[S]):
-    """Solution that met the tolerance, kept while the refinement is restarted from other controls.
+    """Solution that met the tolerance, kept while the refinement restarts from other controls.
 
-    The refinement is restarted if Pontryagin's principle shows better controls.
-
-    Attributes
-    ----------
-    solution : Outcome
-        The kept solution, found before the restart.
-    shown : float, optional
-        Lower bound on the improvement of the objective by the restart, relative to the nominal
-        magnitude of the objective. It is the largest value of (relative improvement over the kept
-        solution) - (estimated relative error) over all solutions since the restart. None if there
-        is no solution since the restart.
-    earned : float
-        Relative improvement of the objective by the previous restart, from the solution kept at
-        that restart to `solution`. 0 if this is the first restart.
+    Improvements of the objective are relative to its nominal magnitude.
     """
 
     solution: S
+    # Lower bound on the improvement by the restart: the largest (improvement - estimated error) of
+    # all solutions since. None if there is no solution since.
     shown: float | None = None
+    # Improvement by the previous restart, from its kept solution to `solution`.
     earned: float = 0.0
 
     def gain(self, other: S) -> float:
-        """Return the relative improvement of the objective from the kept solution to another one.
+        """Return the relative improvement of the objective from the kept solution to `other`.
 
-        `other` is a solution found after the restart. The improvement is divided by the nominal
-        magnitude of the objective. It is negative if `other` is worse than the kept solution.
+        It is relative to the nominal magnitude, and negative if `other` is worse.
         """
         first = self.solution.parts[0]
         earned = self.solution.objective - other.objective
@@ -679,10 +525,9 @@ class _Reached(Generic[S]):
         return (-earned if is_maximised else earned) / first.nominal_objective
 
     def compare(self, other: S, error: float) -> None:
-        """Update `shown`, the lower bound on the improvement by the restart, with a new solution.
+        """Update the bound on the improvement: shown = max(shown, gain(other) - error).
 
-        `other` is the new solution, found after the restart, and `error` is its estimated relative
-        error. The new value of `shown` is max(shown, gain(other) - error).
+        `other` is a solution since the restart, and `error` its estimated relative error.
         """
         shown = self.gain(other) - error
         self.shown = shown if self.shown is None else max(self.shown, shown)
@@ -690,8 +535,7 @@ class _Reached(Generic[S]):
     def better(self, other: S) -> S:
         """Return the kept solution or `other`, whichever has the better objective.
 
-        `other` is a solution found after the restart; it is returned if the objectives are equal.
-        If the kept solution is returned, it gets the history of `other`, which records all meshes.
+        The history of the result includes the meshes since the restart.
         """
         if self.gain(other) >= 0.0:
             return other
@@ -701,18 +545,7 @@ class _Reached(Generic[S]):
 def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: float) -> S:
     """Return the result of a refinement that ended without meeting its tolerance.
 
-    If the refinement was never restarted, the result is `ended`. Otherwise the result is the
-    solution in `reached`. If the optimality of this solution is in doubt, `_doubted` marks it.
-
-    Parameters
-    ----------
-    ended : Solution or JointSolution
-        The last solution.
-    reached : _Reached or None
-        Solution that met the tolerance before the refinement was restarted from other controls;
-        None without a restart.
-    tolerance : float
-        Required relative error.
+    It is the last solution `ended` or, after a restart, the solution in `reached`.
     """
     if reached is None:
         return ended
@@ -725,20 +558,15 @@ def _result_above_tolerance(ended: S, reached: _Reached[S] | None, tolerance: fl
 def _cut_off(reached: _Reached[S]) -> S:
     """Return the result of a refinement that was restarted and then stopped above its tolerance.
 
-    The result is the solution from before the restart, marked by `_doubted`. Its error becomes
-    max(its own estimate, `reached.earned`), where `earned` is the relative improvement of the
-    objective by the previous restart.
+    It is the solution from before the restart, marked by `_doubted`.
     """
+    # Its error is at least the improvement of the objective by the previous restart.
     own = reached.solution.parts[0].error_estimate
     return _doubted(reached.solution.updated(error_estimate=max(own, reached.earned)))
 
 
 def _doubted(solution: S) -> S:
-    """Return a copy of a solution whose status and message state that better controls exist.
-
-    By Pontryagin's principle, other controls improve the objective, but the refinement has found no
-    optimum from them.
-    """
+    """Return a copy of a solution whose status and message state that better controls exist."""
     return solution.updated(
         status=Status.TOLERANCE_NOT_MET,
         message=(
@@ -757,9 +585,7 @@ def _meshes(solution: Outcome) -> tuple[Mesh, ...]:
 def _objective_change(solution: Solution, tolerance: float) -> float:
     """Return the least relative change of the objective from earlier meshes to the last mesh.
 
-    The earlier meshes are the previous mesh, and each mesh before it whose error is at most
-    `tolerance`. The smallest difference of the objective is divided by
-    `Solution.nominal_objective`. The result is infinite on the first mesh.
+    It is relative to `Solution.nominal_objective`, and infinite on the first mesh.
     """
     *before, now = solution.history
     # The objective on the mesh before the last may be inaccurate, so earlier meshes count too.
@@ -769,10 +595,9 @@ def _objective_change(solution: Solution, tolerance: float) -> float:
 
 
 def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
-    """Return whether refinement should stop because the last two solves gained too little.
+    """Return whether the last two solves gained too little for the refinement to go on.
 
-    The result is true if both took more than 150 iterations, and the error remained above half of
-    its previous value. It is False before the third solve.
+    Both must have taken more than 150 iterations, and left more than half of the error.
     """
     if len(records) < 3:
         return False
@@ -784,8 +609,7 @@ def _gains_too_little(records: Sequence[MeshRecord]) -> bool:
 def _most_moved(solution: Outcome, before: tuple[Solution | None, ...]) -> str:
     """Return a phrase on the control that changed most since the previous mesh, for a message.
 
-    The phrase gives the control, and the time and size of its largest change. It is empty on the
-    first mesh, directly after a restart, and without controls.
+    It is empty without controls or without previous solution.
     """
     found = []
     for part, last in zip(solution.parts, before, strict=True):

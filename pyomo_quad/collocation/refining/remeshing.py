@@ -37,33 +37,27 @@ class RefinementOptions:
         Lowest degree to which an element's degree is lowered, and highest to which it is raised.
     smooth_decay : float
         Least decay rate of the Legendre coefficients of a smooth solution, in decades per degree.
-        If the coefficients in an element decay at least as fast, its degree is raised; otherwise
-        the element is split.
+        The degree is raised in smooth elements only; other elements are split.
     smallest_width : float
         Fraction of the horizon below which no element is split.
     max_points : int
         Number of collocation points above which no finer mesh is tried.
     allowance : Allowance
-        Tolerances of a flight that applies the controls without feedback: on violations of limits
-        between the collocation points, on the deviation of the final states, and on the error of
-        the states between the points.
+        Tolerances of a flight that applies the controls without feedback, for example on violations
+        of limits between the collocation points.
     damping : float
-        Strength of the penalty on changes of the controls since the previous mesh. Only controls
-        that enter linearly are penalised. A change of one control by its whole range costs
-        `damping` * tolerance * objective.
+        Strength of the penalty on changes, since the previous mesh, of controls that enter
+        linearly. A change by the whole range costs `damping` * tolerance * objective.
     limits_move : bool
-        Whether the caller expects many junctions: times at which a limit becomes active or
-        inactive. Of many junctions, most hardly affect the objective. If the option is true, the
-        refinement saves effort in two ways. It splits elements at junctions only after all errors
-        meet the tolerance. Each solve reduces the complementarity gap (the error that Ipopt's
-        barrier leaves in the objective) only to a fraction of the error on the previous mesh.
+        Whether limits become active or inactive at many times. Most of these times hardly affect
+        the objective. The refinement then splits elements at these times last, and solves less
+        exactly on early meshes.
     on_mesh : callable, optional
-        Called after each mesh on which Ipopt converged, with the solution, which includes error
-        estimate and history. If the function returns False, the refinement is interrupted. The
-        result is then the solution on the most accurate mesh, with the status interrupted.
+        Called with the solution after each mesh on which Ipopt converged. If it returns False, the
+        refinement ends with the status interrupted.
     known : Solution, optional
-        Converged solution for the same parameters. It replaces the solve on the first mesh, if that
-        mesh is the mesh of `known` and there is a warm start.
+        Converged solution for the same parameters. With a warm start, it replaces the solve on the
+        first mesh if it has the same mesh.
     """
 
     first_elements: int = 10
@@ -76,25 +70,22 @@ class RefinementOptions:
     max_points: int = 60_000
     allowance: Allowance = field(default_factory=Allowance)
     damping: float = 100.0
+    # Elements are split at these times only after all errors meet the tolerance. Each solve reduces
+    # the complementarity gap only to a fraction of the error on the previous mesh.
     limits_move: bool = False
     on_mesh: Callable[[Any], bool | None] | None = None
     known: Any = None
 
     @property
     def breach_between_points(self) -> float:
-        """Largest relative violation of a bound that is allowed between the collocation points.
+        """Largest violation of a bound that is allowed between the collocation points.
 
-        It is relative to max(1, abs(bound)). The value b / 2, with b = min(control_breach,
-        limit_breach) of `allowance`, is used if all of these conditions hold:
-
-        - `limits_move` is true.
-        - `allowance.state_error` is None.
-        - b is positive.
-
-        Otherwise the value is infinite: bounds are imposed at the points only.
+        The violation is relative to max(1, abs(bound)). An infinite value means that bounds are
+        imposed at the points only.
         """
         # A later simulation then corrects the controls by feedback, and reveals violations between
         # the points. Bounds between the points would be superfluous.
+        # Bounds between the points are imposed only if `limits_move` is true.
         if self.allowance.state_error is not None:
             return math.inf
         allowed = min(self.allowance.control_breach, self.allowance.limit_breach)
@@ -103,11 +94,8 @@ class RefinementOptions:
 
     @property
     def is_checked(self) -> bool:
-        """Whether a simulation of the controls will check the result.
-
-        The tolerances in `allowance` refer to such a simulation. The value is therefore True if at
-        least one of them differs from its default.
-        """
+        """Whether a simulation of the controls will check the result."""
+        # Callers that simulate the controls state at least one tolerance of the simulation.
         return self.allowance != Allowance()
 
     @property
@@ -155,25 +143,14 @@ _SLIVER = 0.02
 
 @dataclass(frozen=True)
 class _Piece:
-    """Element of the next mesh.
-
-    Attributes
-    ----------
-    end : float
-        Right end of the element as a fraction of the horizon.
-    degree : int
-        Degree of the element's polynomials.
-    error : float
-        Error of the element of the present mesh that contains this element. For a merged element,
-        the predicted error.
-    is_changed : bool
-        True if the element was refined or must keep its degree (see `Marks.kept`). A changed
-        element is not merged with its neighbours.
-    """
+    """Element of the next mesh: its right end as a fraction of the horizon, and its degree."""
 
     end: float
     degree: int
+    # Error of the element of the present mesh that contains this one; predicted error of a merged
+    # element.
     error: float
+    # Whether the element was refined or must keep its degree. It is then not merged.
     is_changed: bool = True
 
 
@@ -188,13 +165,13 @@ class Marks:
     kept : frozenset of int
         Indices of the elements whose degree must not be lowered.
     are_kinked : bool
-        Whether the controls are expected to have kinks. At a kink, a control reaches its limit
-        continuously, and only its slope jumps. The value is False if controls enter the equations
-        linearly: controls of this kind usually jump.
+        Whether controls are expected to reach their limits continuously, with a jump of the slope
+        only.
     """
 
     coarse: frozenset[int]
     kept: frozenset[int]
+    # Controls that enter the equations linearly usually jump instead.
     are_kinked: bool = False
 
 
@@ -250,28 +227,12 @@ def refined_mesh(
 def _lowered(
     solution: Solution, e: int, error: float, tolerance: float, options: RefinementOptions
 ) -> _Piece:
-    """Return an element that the next mesh keeps, with its degree lowered if possible.
-
-    The degree is lowered if the error is far below the tolerance, and the Legendre coefficients of
-    the highest degrees are negligible for all states.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the present mesh.
-    e : int
-        Index of the element.
-    error : float
-        Estimated relative error of the element.
-    tolerance : float
-        Required relative error.
-    options : RefinementOptions
-        Settings with the lowest allowed degree.
-    """
+    """Return an unrefined element of the next mesh, with its degree lowered if possible."""
     mesh = solution.mesh
     degree = mesh.degrees[e]
     if error < _MARGIN * tolerance:
         sizes = _legendre_sizes(solution, e)
+        # The coefficients of the highest degrees must be negligible for all states.
         while degree > options.min_degree and sizes[degree - 1 :].sum() < _MARGIN * tolerance:
             degree -= 1
     return _Piece(mesh.breakpoints[e + 1], degree, error, is_changed=False)
@@ -280,28 +241,14 @@ def _lowered(
 def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
     """Return the times of the control switches that the next mesh isolates in narrow elements.
 
-    If an element has exactly one kink of a control, its switch is this kink. Otherwise, its switch
-    is the jump of a bounded control, if there is one. If `marks.are_kinked` is false, kinks are
-    ignored.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the present mesh.
-    marks : Marks
-        Elements to refine (`marks.coarse`), and whether controls reach their limits with kinks.
-
-    Returns
-    -------
-    dict
-        Index of an element -> time of its switch as a fraction of the horizon, for each element of
-        `marks.coarse` that has a switch.
+    The result maps elements of `marks.coarse` to times as fractions of the horizon.
     """
     ends, found = np.asarray(solution.mesh.breakpoints)[1:], {}
     times = kinks(solution) if marks.are_kinked else np.zeros(0)
     elements = np.searchsorted(ends, times)
     for e in marks.coarse:
         here = times[elements == e]
+        # The switch is the only kink in the element, or else the jump of a bounded control.
         time = float(here[0]) if here.size == 1 else _jump(solution, e)
         if time is not None:
             found[e] = time
@@ -311,20 +258,7 @@ def _switches(solution: Solution, marks: Marks) -> dict[int, float]:
 def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     """Return the elements into which an element with a jump or kink of a control is split.
 
-    The jump or kink is enclosed in a sliver: a narrow element of degree 1. If the jump or kink is
-    near an end of the element, the sliver extends to that end. See docs/theory/refinement.md, eq.
-    (8).
-
-    Parameters
-    ----------
-    mesh : Mesh
-        Present mesh, with the element to split.
-    e : int
-        Index of the element.
-    jump : float
-        Time of the jump or kink as a fraction of the horizon.
-    size : float
-        Estimated relative error of the element, which is recorded for its parts.
+    See docs/theory/refinement.md, eq. (8). `jump` is its time as a fraction of the horizon.
     """
     start, end, degree = mesh.breakpoints[e], mesh.breakpoints[e + 1], mesh.degrees[e]
     # A neighbour of degree 1 is a sliver from an earlier mesh, which failed to enclose the whole
@@ -335,6 +269,7 @@ def _isolated(mesh: Mesh, e: int, jump: float, size: float) -> list[_Piece]:
     edges = [(jump - half, wide), (jump + half, 1)]
     inside = [(b, d) for b, d in edges if start + 0.5 * half < b < end - 0.5 * half]
     ends = [*inside, (end, wide)]
+    # The sliver of degree 1 encloses the jump. Near an end of the element, it extends to that end.
     if len(inside) < 2:
         is_late = jump - start > end - jump
         ends = [*inside, (end, 1)] if is_late else [*((b, 1) for b, _ in inside), (end, wide)]
@@ -350,23 +285,7 @@ def _finer(
 ) -> list[_Piece]:
     """Return the elements of the next mesh that replace an element to be refined.
 
-    An element with a corner is split. In other elements, the degree is raised if the solution is
-    smooth and the new degree is at most `options.max_degree`. Otherwise, they are split. See
-    docs/theory/refinement.md, eqs. (4) and (5).
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the present mesh.
-    e : int
-        Index of the element.
-    error : ErrorEstimate
-        Estimated errors of the solution, by element and kind, such as errors of states, of
-        integrals, or of limits between the collocation points.
-    tolerance : float
-        Required relative error.
-    options : RefinementOptions
-        Limits of degrees and widths of elements.
+    The degree is raised or the element is split: see docs/theory/refinement.md, eqs. (4) and (5).
     """
     mesh = solution.mesh
     degree, size = mesh.degrees[e], float(error.per_element[e])
@@ -406,10 +325,9 @@ def _finer(
 
 
 def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Piece]:
-    """Split an element into `count` equally wide elements of the given degree.
+    """Split element `e` into `count` equally wide elements of the given degree.
 
-    `e` is the index of the element in `mesh`. `size` is the error of the element; each part is
-    recorded with this error.
+    Each part is recorded with the error `size` of the element.
     """
     edges = np.linspace(mesh.breakpoints[e], mesh.breakpoints[e + 1], count + 1)
     ends = [*(float(b) for b in edges[1:-1]), mesh.breakpoints[e + 1]]
@@ -419,22 +337,7 @@ def _parts(mesh: Mesh, e: int, count: int, degree: int, size: float) -> list[_Pi
 def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[_Piece]:
     """Merge neighbouring elements of the next mesh if the merged element is accurate enough.
 
-    Elements that were refined, or whose degree must not be lowered, are not merged. Element
-    boundaries that the problem requires are kept. See docs/theory/refinement.md, eq. (6).
-
-    Parameters
-    ----------
-    pieces : list of _Piece
-        Elements of the next mesh before merging, from left to right.
-    solution : Solution
-        Solution on the present mesh.
-    tolerance : float
-        Required relative error.
-
-    Returns
-    -------
-    list of _Piece
-        Elements of the next mesh after merging, from left to right.
+    Boundaries that the problem requires are kept. See docs/theory/refinement.md, eq. (6).
     """
     required = solution.problem.required_breakpoints(solution.instance)
     merged: list[_Piece] = []
@@ -456,10 +359,9 @@ def _merged(pieces: list[_Piece], solution: Solution, tolerance: float) -> list[
 
 
 def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the relative magnitudes of the states' Legendre coefficients in an element.
+    """Return the largest relative Legendre coefficients of the states, shape (degree + 1,).
 
-    The result has shape (degree + 1,). Item k is the largest coefficient of degree k over all
-    states, relative to the magnitude of its state over the horizon.
+    They are relative to the magnitude of each state over the horizon.
     """
     mesh, states = solution.mesh, solution.trajectory.states
     first, last = mesh.first_node[e], mesh.first_node[e + 1]
@@ -472,10 +374,9 @@ def _legendre_sizes(solution: Solution, e: int) -> FloatArray:
 
 
 def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
-    """Return the relative magnitudes of the integrands' Legendre coefficients in an element.
+    """Return the largest relative Legendre coefficients of the integrands, shape (degree,).
 
-    The result has shape (degree,). Item k is the largest coefficient of degree k over all integrals
-    over time, relative to the magnitude of its integrand in the element.
+    They are relative to the magnitude of each integrand in the element.
     """
     mesh, program = solution.mesh, solution.program
     points = slice(mesh.first_node[e], mesh.first_node[e + 1])
@@ -490,8 +391,7 @@ def _integrand_sizes(solution: Solution, e: int) -> FloatArray:
 def _decay(sizes: FloatArray) -> float:
     """Return the decay rate of Legendre coefficients in decades per degree, by least squares.
 
-    `sizes` are the magnitudes in order of degree. A high rate means a smooth function. With fewer
-    than two coefficients, the result is 2, the rate of a smooth function.
+    With fewer than two coefficients, it is 2, the rate of a smooth function.
     """
     # The constant term says nothing about smoothness.
     order = np.arange(1, sizes.size)
@@ -505,10 +405,10 @@ def _decay(sizes: FloatArray) -> float:
 def _jump(solution: Solution, e: int) -> float | None:
     """Return the time at which a bounded control jumps in an element, as a fraction of the horizon.
 
-    The result is None if no control jumps. It is also None if the problem requires an element
-    boundary at the start or end of element `e`. See docs/theory/refinement.md, eq. (8).
+    It is None if no control jumps. See docs/theory/refinement.md, eq. (8).
     """
     mesh = solution.mesh
+    # The problem requires an element boundary at the start or end of the element.
     # A jump is then assumed to be at that boundary, for example because a parameter jumps there.
     # Elements are separated there already.
     if known_boundaries(solution)[e : e + 2].any():

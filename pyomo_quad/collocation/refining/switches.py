@@ -23,8 +23,8 @@ _SAME_WIDTH = 1.0 + 1e-9
 def misplaced_switches(solution: Solution) -> FloatArray:
     """Return bounds on the increase of the objective by misplaced control switches, by element.
 
-    The bound is the jump of the Hamiltonian times the width of the element, in which the switch may
-    be anywhere. See docs/theory/refinement.md, "Cost of a misplaced switch".
+    The bound is the jump of the Hamiltonian times the width of the element. The switch may be
+    anywhere in this element. See docs/theory/refinement.md, "Cost of a misplaced switch".
 
     Parameters
     ----------
@@ -34,13 +34,10 @@ def misplaced_switches(solution: Solution) -> FloatArray:
     Returns
     -------
     ndarray, shape (n_elements,)
-        Upper bounds in the unit of the objective, zero for an element without a control switch. An
-        element has a control switch if all of these conditions hold in or beside it:
-
-        - An algebraic variable jumps.
-        - A limit on algebraic variables alone becomes active or inactive.
-        - No limit that contains a state or a rate becomes active or inactive.
+        Upper bounds in the unit of the objective, zero for an element without a control switch.
     """
+    # At a switch, an algebraic variable jumps, and a limit on algebraic variables alone becomes
+    # active or inactive. Elements where a limit on a state or a rate does so are left out.
     mesh, chosen = solution.mesh, switch_elements(solution) & _jumping_elements(solution)
     jumps = np.zeros((2, mesh.elements))
     if not (chosen and solution.problem.compiled.declared.states):
@@ -75,17 +72,13 @@ def misplaced_switches(solution: Solution) -> FloatArray:
 
 
 def _jumping_elements(solution: Solution) -> frozenset[int]:
-    """Return the indices of elements in or beside which an algebraic variable jumps.
-
-    A variable jumps if its largest minus its smallest value exceeds a quarter of its range
-    (`Solution.algebraic_ranges`). The values are taken at the points of the element, and at the
-    neighbouring point on each side.
-    """
+    """Return the indices of elements in or beside which an algebraic variable jumps."""
     held, ranges = solution.trajectory.algebraics, solution.algebraic_ranges
     first = solution.mesh.first_node
     found = []
     for e in range(solution.mesh.elements):
         near = held[max(first[e] - 1, 0) : first[e + 1] + 1]
+        # A jump exceeds a quarter of the variable's range (`Solution.algebraic_ranges`).
         if np.any(np.ptp(near, axis=0) > JUMP_SHARE * ranges):
             found.append(e)
     return frozenset(found)
@@ -94,26 +87,10 @@ def _jumping_elements(solution: Solution) -> frozenset[int]:
 def _hamiltonians(
     solution: Solution, points: NDArray[np.intp], fractions: FloatArray
 ) -> FloatArray:
-    """Return the Hamiltonian at collocation points, with parameters taken at given times.
+    """Return the Hamiltonian at points, with parameters at the times `fractions`, shape (2, n).
 
-    If two points are compared, the caller gives the same time for both. An explicit dependence on
-    time then does not contribute to the difference of their Hamiltonians.
-
-    Parameters
-    ----------
-    solution : Solution
-        Solution on the present mesh, with its multipliers.
-    points : ndarray of int, shape (n,)
-        Indices of the collocation points at which states, rates (derivatives of the states),
-        controls and costates are taken.
-    fractions : ndarray, shape (n,)
-        Fractions of the horizon at which the time-dependent parameters are taken.
-
-    Returns
-    -------
-    ndarray, shape (2, n)
-        Hamiltonians per unit of the fraction of the horizon. Row 0 uses the costates integrated
-        through the elements, row 1 the costates directly from the multipliers.
+    It is per unit of the fraction of the horizon. Rows: integrated costates, and costates from the
+    multipliers.
     """
     program, n = solution.program, solution.program.layout.n_states
     variables = program.path_variables(solution.unknowns)[points]
